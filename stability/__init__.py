@@ -6,7 +6,8 @@
 - `semi_discretization`, `multi_frequency`: converged limits, with period doubling and any pitch; `limit_depth`,
   `stability_bands` and `floquet_multipliers` for one speed.
 - `operating_point`: limits whose compliance belongs to the feed and the force at which each point is cut.
-- `stationary_vibration`: the periodic vibration of a stable cut, and the surface error that it leaves.
+- `stationary_vibration`: the periodic vibration of a stable cut, and the surface error that it leaves; `cut_maps` over
+  speed and depth, with force, torque, power and removal rate.
 - `find_boundary`: the boundary of any scalar function of two named axes, with islands and every band.
 - `sampled_band`, `linearised_band`, `with_band`: quantiles of a limit and the depth that is safe; `Spread` for
   errors that the compliance does not hold.
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from stability.bands.error_model import Spread, carries_errors
     from stability.boundary import Axis, Boundary, find_boundary, pointwise
     from stability.chatter.criterion import ChatterVerdict, chatter_verdict
+    from stability.cut_maps import cut_maps
     from stability.methods.multi_frequency import multi_frequency
     from stability.methods.semi_discretization import (
         BAND_COLUMNS,
@@ -79,6 +81,7 @@ __all__ = [
     "chatter_verdict",
     "critical_depth",
     "critical_depth_from_matrix",
+    "cut_maps",
     "design_pitch",
     "find_boundary",
     "floquet_multipliers",
@@ -107,6 +110,7 @@ _HOMES = {
     "stability.bands.error_model": "Spread, carries_errors",
     "stability.boundary": "Axis, Boundary, find_boundary, pointwise",
     "stability.chatter.criterion": "ChatterVerdict, chatter_verdict",
+    "stability.cut_maps": "cut_maps",
     "stability.methods.multi_frequency": "multi_frequency",
     "stability.methods.semi_discretization": (
         "BAND_COLUMNS, LimitDepth, floquet_multipliers, limit_depth, semi_discretization, stability_bands"

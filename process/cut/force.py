@@ -216,6 +216,24 @@ def directional_matrix(tool: Tool, arc: AnyEngagement, coefficients: CuttingCoef
     return tool.teeth / (2.0 * math.pi) * projection @ gram @ chip_projection(tool.approach_angle)
 
 
+def mean_torque(tool: Tool, arc: AnyEngagement, coefficients: CuttingCoefficients, feed_per_tooth: float) -> float:
+    """Return the mean torque on the spindle over the depth of cut [N m per m].
+
+    ``M/a_p = D/2 N/(2 pi) (K_tc f_z sum(cos phi_st - cos phi_ex) + K_te sum(phi_ex - phi_st)/sin k)``. A periodic
+    vibration changes nothing of it: what it adds to the chip of a tooth it takes from that of the next.
+
+    Parameters
+    ----------
+    tool, arc, coefficients
+        The cut; straight edges are taken.
+    feed_per_tooth : float
+        [m].
+    """
+    chip = sum(math.cos(part.entry) - math.cos(part.exit) for part in arc.arcs)
+    force = coefficients.Ktc * feed_per_tooth * chip + coefficients.Kte / math.sin(tool.approach_angle) * arc.arc
+    return 0.5 * tool.diameter * tool.teeth / (2.0 * math.pi) * force
+
+
 def force_harmonics(
     tool: Tool,
     arc: AnyEngagement,

@@ -16,9 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from process.cut.engagement import AnyEngagement
-from process.cut.force import CuttingCoefficients
-from process.cut.tool import Tool
+from process.cut.force import mean_torque
 from process.types import Real
 from smfe.campaign import Campaign, LobeRequest
 from stability import SpindleRange
@@ -78,21 +76,6 @@ def ceilings_of(campaign: Campaign, request: LobeRequest) -> tuple[DepthCeiling,
 def deepest(ceilings: Sequence[DepthCeiling], speed: Real) -> Real:
     """Return the greatest depth [m] that all ceilings allow at spindle speeds [rpm]; inf without one."""
     return np.asarray(np.min([np.full(np.shape(speed), math.inf), *(c.at(speed) for c in ceilings)], axis=0))
-
-
-def mean_torque(tool: Tool, arc: AnyEngagement, coefficients: CuttingCoefficients, feed_per_tooth: float) -> float:
-    """Return the mean torque on the spindle over the depth of cut [N m per m].
-
-    Parameters
-    ----------
-    tool, arc, coefficients
-        The cut; straight edges are taken.
-    feed_per_tooth : float
-        [m].
-    """
-    chip = sum(math.cos(part.entry) - math.cos(part.exit) for part in arc.arcs)
-    force = coefficients.Ktc * feed_per_tooth * chip + coefficients.Kte / math.sin(tool.approach_angle) * arc.arc
-    return 0.5 * tool.diameter * tool.teeth / (2.0 * math.pi) * force
 
 
 def fastest(campaign: Campaign, request: LobeRequest) -> SpindleRange | None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from process.cut.force import CuttingCoefficients, force_projection
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.types import Complex, Real
-from stability.methods.dense_problem import dense
+from stability.methods.dense_problem import Dense, dense
 from stability.methods.period_mesh import Mesh, cut_at_speed, lagrange, lay_mesh, node_responses
 from stability.methods.rules import RULES
 from stability.problem import Cut, Machine, Modes, check_spindle_speed, modes_of, pattern_of
@@ -92,58 +93,143 @@ def stationary_vibration(
         the displacement does not settle.
     """
     speed = float(check_spindle_speed(spindle_speed)[0])
+    _check(tool, depth, feed_per_tooth)
+    change, cut, at = _settled(Cut(tool, arc, coefficients), modes_of(machine), depth, feed_per_tooth, speed, tolerance)
+    return _Periodic(cut, at, depth).result(change)
+
+
+@dataclass(frozen=True)
+class VibrationOverDepth:
+    """What the periodic vibration of a cut comes to at one spindle speed, over depths.
+
+    Parameters
+    ----------
+    peak_to_peak : ndarray, shape (depths, 3)
+        Of the displacement of the tool in x, y and z [m].
+    deflection : ndarray, shape (depths,)
+        Largest distance of the tool from where it is without a cut, the mean deflection included [m].
+    wall : dict of str to ndarray, shape (depths,)
+        For the walls that the cut leaves ("up", "down") how far beyond the nominal wall is cut [m]: of unequal teeth
+        by that which cuts furthest; negative: material is left.
+    peak_force : ndarray, shape (depths,)
+        Largest force on the tool, x, y and z together [N].
+    """
+
+    peak_to_peak: Real
+    deflection: Real
+    wall: dict[str, Real]
+    peak_force: Real
+
+
+def vibration_over_depth(
+    machine: Machine,
+    tool: Tool,
+    arc: AnyEngagement,
+    coefficients: CuttingCoefficients,
+    depths: Real,
+    feed_per_tooth: float,
+    spindle_speed: float,
+    tolerance: float = 1e-3,
+) -> VibrationOverDepth:
+    """Return what the periodic vibration of a cut comes to over depths at one spindle speed.
+
+    With equal pitch it leaves no wave behind, and everything goes as the depth.
+
+    Parameters
+    ----------
+    machine, tool, arc, coefficients, feed_per_tooth, spindle_speed, tolerance
+        As `stationary_vibration`; the steps are those that the greatest depth needs.
+    depths : ndarray, shape (depths,)
+        Axial depths [m].
+
+    Raises
+    ------
+    InputError
+        As `stationary_vibration`.
+    """
+    speed = float(check_spindle_speed(spindle_speed)[0])
+    _check(tool, float(np.max(depths)), feed_per_tooth)
+    cut = Cut(tool, arc, coefficients)
+    _, cut, at = _settled(cut, modes_of(machine), float(np.max(depths)), feed_per_tooth, speed, tolerance)
+    solved = [1.0] if tool.equal_pitch else [float(d) for d in depths]
+    found = [_Periodic(cut, at, depth).sizes() for depth in solved]
+    scale = np.asarray(depths) if tool.equal_pitch else np.ones(len(solved))
+    return VibrationOverDepth(
+        scale[:, None] * np.array([f[0] for f in found]),
+        scale * np.array([f[1] for f in found]),
+        {side: scale * np.array([f[2][side] for f in found]) for side in found[0][2]},
+        scale * np.array([f[3] for f in found]),
+    )
+
+
+def _check(tool: Tool, depth: float, feed_per_tooth: float) -> None:
     for name, value in (("depth", depth), ("feed per tooth", feed_per_tooth)):
         if not 0.0 < value < math.inf:
             raise InputError(f"the {name} is {value * 1e3:g} mm; it must be positive and finite")
     if not tool.equal_radius:
         raise InputError(f"the tool has a run-out; the {METHOD} holds for teeth on one circle. Leave runout out")
-    cut, pattern, modes = Cut(tool, arc, coefficients), pattern_of(tool, METHOD), modes_of(machine)
+
+
+def _settled(
+    cut: Cut, modes: Modes, depth: float, feed_per_tooth: float, speed: float, tolerance: float
+) -> tuple[float, Cut, _AtSpeed]:
+    """Double the steps until the displacement at a depth stands still; return its last change, and the mesh."""
+    pattern = pattern_of(cut.tool, METHOD)
     turns = float(np.abs(modes.rate.imag).max()) * pattern.duration(speed)
     steps = RULES.first_steps_of_vibration + math.ceil(0.4 * turns)
     old = None
     while steps <= RULES.most_steps_of_vibration:
-        mesh = lay_mesh(cut, pattern, steps)
-        new = _Periodic(cut, mesh, modes, depth, feed_per_tooth, speed)
-        lines = new.lines()
+        at = _AtSpeed(cut, lay_mesh(cut, pattern, steps), modes, feed_per_tooth, speed)
+        lines = _Periodic(cut, at, depth).lines()
         if old is not None:
             change = float(np.abs(lines - old).max() / np.abs(lines).max())
             if change <= tolerance:
-                return new.result(change)
-        old, steps = lines, 2 * mesh.steps
+                return change, cut, at
+        old, steps = lines, 2 * at.mesh.steps
     raise InputError(
         f"the vibration at {speed:g} rpm does not settle with {RULES.most_steps_of_vibration} steps in a period of "
         "the cut; ask for a higher speed or a coarser tolerance"
     )
 
 
-class _Periodic:
-    """The periodic solution on one mesh."""
+class _AtSpeed:
+    """The cut on one mesh at one spindle speed, at any depth."""
 
-    def __init__(
-        self, cut: Cut, mesh: Mesh, modes: Modes, depth: float, feed_per_tooth: float, spindle_speed: float
-    ) -> None:
-        self.mesh, self.modes, self._cut = mesh, modes, cut
-        self._rotation = spindle_speed * math.pi / 30.0
-        self._dense = dense(cut_at_speed(mesh, modes, spindle_speed))
-        self._depth = depth
+    def __init__(self, cut: Cut, mesh: Mesh, modes: Modes, feed_per_tooth: float, spindle_speed: float) -> None:
+        self.mesh, self.modes = mesh, modes
+        self.rotation = spindle_speed * math.pi / 30.0
+        self._spindle_speed = spindle_speed
         feed = feed_per_tooth * cut.tool.teeth * mesh.pattern.delay[mesh.tooth] / (2.0 * math.pi)
         phi = mesh.angle - mesh.pattern.lag[mesh.tooth]
         edge = force_projection(cut.coefficients.edge, cut.tool.approach_angle) / math.sin(cut.tool.approach_angle)
         basis = np.stack([np.sin(phi), np.cos(phi), np.ones_like(phi)])
-        static = depth * (mesh.force * (feed * np.sin(phi)) + edge @ basis)
-        self.force = static
-        self._starts, free = self._response(static)
-        size = self._dense.response.shape[0]
-        x_0 = np.einsum("mi,im->m", mesh.chip, free)
-        x = np.linalg.solve(np.eye(size) - depth * self._dense.crossing(np.zeros(1))[0].real, x_0)
-        self.force = static + depth * mesh.force * ((self._dense.kept - self._dense.wrapped) @ x)
-        self._starts, self.displacement = self._response(self.force)
+        self.static = mesh.force * (feed * np.sin(phi)) + edge @ basis
+        self.turn = np.exp(modes.rate * mesh.pattern.period / self.rotation)
 
-    def _response(self, force: Real) -> tuple[Complex, Real]:
+    @cached_property
+    def dense(self) -> Dense:
+        """The dense matrices of the cut: what regenerates, and the multipliers."""
+        return dense(cut_at_speed(self.mesh, self.modes, self._spindle_speed))
+
+    @cached_property
+    def free_chips(self) -> Real:
+        """The chips of the static force a unit of depth, shape (m,)."""
+        return np.asarray(np.einsum("mi,im->m", self.mesh.chip, self.response(self.static)[1]))
+
+    def force(self, depth: float) -> Real:
+        """Return the force of each contact in the periodic motion, shape (3, m)."""
+        static = depth * self.static
+        if self.mesh.pattern.delay.size == 1 or np.ptp(self.mesh.pattern.delay) < 1e-12:
+            return static  # the vibration repeats from tooth to tooth, and leaves no wave
+        crossing = self.dense.crossing(np.zeros(1))[0].real
+        x = np.linalg.solve(np.eye(crossing.shape[0]) - depth * crossing, depth * self.free_chips)
+        return np.asarray(static + depth * self.mesh.force * ((self.dense.kept - self.dense.wrapped) @ x))
+
+    def response(self, force: Real) -> tuple[Complex, Real]:
         """Return the modal state at the start of each element and the displacement at the contacts under a force."""
         mesh, modes = self.mesh, self.modes
-        step, idle = mesh.length / self._rotation, mesh.gap / self._rotation
-        drive = [modes.participation @ self._summed(force, e) for e in range(step.size)]
+        step, idle = mesh.length / self.rotation, mesh.gap / self.rotation
+        drive = [modes.participation @ self.summed(force, e) for e in range(step.size)]
         known = {key: node_responses(mesh, modes.rate, key) for key in np.unique(step.round(15)).tolist()}
         inner, last = zip(*(known[key] for key in step.round(15).tolist()), strict=True)
         z = np.zeros((step.size + 1, modes.rate.size), dtype=complex)
@@ -154,7 +240,7 @@ class _Periodic:
                 )
             # From rest the end is H f; in the periodic motion start and end are z = H f/(1 - turn).
             if not z[0].any():
-                z[0] = z[-1] / (1.0 - self._dense.turn)
+                z[0] = z[-1] / (1.0 - self.turn)
         out = np.empty((3, mesh.angle.size))
         for e, h in enumerate(step):
             state = np.exp(np.outer(modes.rate, h * mesh.node)) * z[e][:, None]
@@ -164,10 +250,31 @@ class _Periodic:
                 out[:, low : low + mesh.node.size] = r
         return z, out
 
-    def _summed(self, force: Real, e: int) -> Real:
+    def summed(self, force: Real, e: int) -> Real:
         """Return the force of all engaged teeth at the nodes of an element, shape (3, p)."""
         low, high = self.mesh.offset[e], self.mesh.offset[e + 1]
         return np.asarray(force[:, low:high].reshape(3, -1, self.mesh.node.size).sum(axis=1))
+
+
+class _Periodic:
+    """The periodic solution on one mesh at one depth."""
+
+    def __init__(self, cut: Cut, at: _AtSpeed, depth: float) -> None:
+        self.mesh, self.modes, self._cut, self._speed = at.mesh, at.modes, cut, at
+        self._rotation, self._depth = at.rotation, depth
+        self.force = at.force(depth)
+        self._starts, self.displacement = at.response(self.force)
+
+    def sizes(self) -> tuple[Real, float, dict[str, float], float]:
+        """Return peak to peak, largest deflection, each wall by the tooth that cuts furthest, largest force; SI."""
+        moved = self._over_period()
+        fine = lagrange(self.mesh.node, np.linspace(0.0, 1.0, 64))
+        force = np.concatenate(
+            [self._speed.summed(self.force, e) @ fine.T for e in range(self.mesh.length.size)], axis=1
+        )
+        walls = {side: float(error.max()) for side, error in self._walls().items()}
+        deflection, strongest = (float(np.linalg.norm(v, axis=0).max()) for v in (moved, force))
+        return np.ptp(moved, axis=1), deflection, walls, strongest
 
     def lines(self) -> Complex:
         """Return the lowest harmonics of the displacement, shape (3, lines): comparable between meshes."""
@@ -184,7 +291,7 @@ class _Periodic:
         first = np.concatenate([np.arange(self.mesh.node.size) + low for low in self.mesh.offset[:-1]])
         moved = self.displacement[:, first]
         peak = np.ptp(self._over_period(), axis=1)
-        values = self._dense.multipliers(np.array([self._depth]))
+        values = self._speed.dense.multipliers(np.array([self._depth]))
         return StationaryVibration(
             self.mesh.angle[first],
             moved,

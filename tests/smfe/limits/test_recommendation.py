@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 
 import smfe
+from process.cut.force import mean_torque
 from process.errors import InputError
 from smfe.campaign import load_campaign
 from smfe.limits.campaign_lobes import all_lobes
-from smfe.limits.ceilings import mean_torque
 from smfe.limits.lobe_files import write_lobes
 from smfe.limits.recommendation import recommend
 from smfe.progress import silent
