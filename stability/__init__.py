@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from stability.bands.error_model import Spread, carries_errors
     from stability.boundary import Axis, Boundary, find_boundary, pointwise
     from stability.chatter.criterion import ChatterVerdict, chatter_verdict
-    from stability.cut_maps import cut_maps
     from stability.methods.multi_frequency import multi_frequency
     from stability.methods.semi_discretization import (
         BAND_COLUMNS,
@@ -59,6 +58,7 @@ if TYPE_CHECKING:
     from stability.tables.lobe_table import LOBE_COLUMNS, lobe_table, read_table, write_table
     from stability.tables.pockets import POCKET_COLUMNS, SpindleRange, best_pockets
     from stability.tables.presets import PRESET_SCHEMA, read_presets, write_presets
+    from stability.vibration_maps import cut_maps
 
 
 __all__ = [
@@ -110,7 +110,7 @@ _HOMES = {
     "stability.bands.error_model": "Spread, carries_errors",
     "stability.boundary": "Axis, Boundary, find_boundary, pointwise",
     "stability.chatter.criterion": "ChatterVerdict, chatter_verdict",
-    "stability.cut_maps": "cut_maps",
+    "stability.vibration_maps": "cut_maps",
     "stability.methods.multi_frequency": "multi_frequency",
     "stability.methods.semi_discretization": (
         "BAND_COLUMNS, LimitDepth, floquet_multipliers, limit_depth, semi_discretization, stability_bands"

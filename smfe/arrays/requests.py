@@ -23,7 +23,8 @@ from smfe.campaign.machine import MACHINE
 from smfe.campaign.quantities import OTHER_CUTS
 from smfe.campaign.schema import ConditionsTable
 from smfe.identification.compliances import labelled
-from smfe.limits.campaign_lobes import LobeResult
+from smfe.limits.campaign_lobes import ALLOWED, LobeResult
+from smfe.limits.cut_maps import REACH
 from smfe.modes.fit_modes import ModalFit, uncertainty
 from stability import lobe_table
 
@@ -153,9 +154,15 @@ def limits_given(
     arcs = np.atleast_1d(next(iter(source.values())).attrs.get("arcs_deg", ())).reshape(-1, 2)
     if len({tuple(np.atleast_1d(one.attrs.get("arcs_deg", ())).tolist()) for one in source.values()}) != 1:
         raise InputError("the lobes have different arcs of engagement; give those of one cut")
-    cut = keys["cut"]
+    cut = str(keys["cut"])
     if arcs.size:  # the tables of a file are checked with a slot in its place
         keys["cut"] = "central"
+    for key, attr, factor in ALLOWED:
+        allowed = {one.attrs.get(attr) for one in source.values()}
+        if len(allowed) != 1:
+            raise InputError(f"the lobes have different {key}; give those of one request")
+        if (value := allowed.pop()) is not None:
+            keys[key] = float(value) / factor
     keys["feed_direction"] = f"{keys['feed_direction']!r} deg"
     record = {"file": "lobes", "response": "x", "excitation": "x"}
     speeds = next(iter(source.values()))["spindle_speed"].values
@@ -180,7 +187,8 @@ def limits_given(
             asked_for = replace(asked_for, engaged=engaged[0] if len(engaged) == 1 else Engagements(engaged))
         table = lobe_table(one, name, campaign.tool, asked_for.width_of_cut, asked_for.feed_per_tooth)
         kind, moves = str(one.attrs.get("kind", "frf")), bool(one.attrs.get("in_motion", False))
-        results.append(LobeResult("lobes_1", name, one, table, asked_for, kind, moves))
+        reach = one[own] if (own := [key for key in REACH if key in one]) else None
+        results.append(LobeResult("lobes_1", name, one, table, asked_for, kind, moves, reach=reach))
     return campaign, results
 
 

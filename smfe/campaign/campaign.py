@@ -396,6 +396,12 @@ class LobeRequest:
         Of the worn flank; a sharp edge by default.
     bands_up_to : float or None
         Depth up to which all bands of depth are asked for, islands included [m]; None: the limit alone.
+    maps_up_to : float or None
+        Depth up to which vibration, surface error, force, torque and power are asked for as maps [m].
+    spindle_power, spindle_torque : float or None
+        Mean power and torque that the cut may take [W, N m].
+    deflection, surface_error : float or None
+        Largest deflection of the tool, and error of the wall, that are allowed [m].
     name, table : str
         What it is called in every output, "lobes_1", or "lobes_1_20mm" where its table has several widths; and what
         all widths of the table are called together, "lobes_1".
@@ -418,6 +424,11 @@ class LobeRequest:
     position: str | None = None
     process_damping: ProcessDamping = NO_DAMPING
     bands_up_to: float | None = None
+    maps_up_to: float | None = None
+    spindle_power: float | None = None
+    spindle_torque: float | None = None
+    deflection: float | None = None
+    surface_error: float | None = None
     name: str = "lobes_1"
     table: str = "lobes_1"
     listed: bool = False
@@ -949,6 +960,11 @@ def _lobes(number: int, table: schema.LobesTable, tool: schema.ToolTable | None)
             table.position,
             ProcessDamping(table.process_damping, **friction),
             table.bands_up_to,
+            table.maps_up_to,
+            table.spindle_power,
+            table.spindle_torque,
+            table.deflection,
+            table.surface_error,
             name=name if len(widths) == 1 else f"{name}_{1e3 * width:.6g}mm",
             table=name,
             listed=table.spindle_speed.listed,

@@ -225,6 +225,9 @@ def _lobes(raw: Raw) -> Iterator[Complaint]:
     for where, table in _tables(raw, "lobes"):
         yield from _needs(raw, where, ("tool", "material"), "a stability limit")
         yield from _engaged(where, table, diameter)
+        for wanted in (k for k in ("maps_up_to", "deflection", "surface_error") if k in table):
+            for thing in _not_round(raw.get("tool")):
+                yield (*where, wanted), f"needs straight teeth on one circle, and [tool] gives a {thing}; take one out"
         widths = table.get("width_of_cut")
         for i, width in enumerate(widths if isinstance(widths, list) else []):
             one = {"width_of_cut": width}
@@ -234,6 +237,15 @@ def _lobes(raw: Raw) -> Iterator[Complaint]:
         names = table.get("measurements")
         for i, name in enumerate(names if isinstance(names, list) else []):
             yield from _named(raw, (*where, "measurements", i), name, anywhere=True)
+
+
+def _not_round(tool: Any) -> Iterator[str]:
+    """Yield what keeps the teeth of a tool from being straight and on one circle."""
+    if _quantity(tool, "helix_angle", "angle"):
+        yield "helix_angle"
+    radii = tool.get("runout") if isinstance(tool, dict) else None
+    if isinstance(radii, list) and any(_quantity({"r": r}, "r", "length") for r in radii):
+        yield "runout"
 
 
 def _engaged(where: Loc, table: Raw, diameter: float | None) -> Iterator[Complaint]:

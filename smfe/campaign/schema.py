@@ -389,6 +389,26 @@ class LobesTable(Table):
     process_damping: Annotated[float, q.quantity("line_force", low=0.0)] = 0.0
     flank_friction: Annotated[float, Field(ge=0.0, le=2.0)] | None = None
     bands_up_to: q.PositiveLength | None = None
+    maps_up_to: q.PositiveLength | None = None
+    spindle_power: Annotated[float, q.quantity("power", above=0.0)] | None = None
+    spindle_torque: Annotated[float, q.quantity("torque", above=0.0)] | None = None
+    deflection: q.PositiveLength | None = None
+    surface_error: q.PositiveLength | None = None
+
+    @model_validator(mode="after")
+    def _vibration_of_a_sharp_edge(self) -> LobesTable:
+        keys = [k for k in ("maps_up_to", "deflection", "surface_error") if getattr(self, k) is not None]
+        if keys and self.process_damping > 0.0:
+            raise InputError(
+                f"gives {keys[0]} and a process_damping; the vibration of a stable cut is known of a sharp edge alone: "
+                "leave one of both out"
+            )
+        if keys and self.method == "operating_point":
+            raise InputError(
+                f'gives {keys[0]} with method = "operating_point", whose compliance is another at each depth; ask for '
+                "it with another method, of a measurement or a model"
+            )
+        return self
 
     @model_validator(mode="after")
     def _of_a_worn_flank(self) -> LobesTable:

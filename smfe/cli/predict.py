@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -27,10 +27,11 @@ KnownCompliances = Annotated[
 @verb(
     PREDICT,
     gives="lobes.nc and lobe_table.csv: the limit depth over the spindle speed with its quantiles, for each "
-    "measurement that the campaign asks for; bands.csv and a picture of it where it asks for all bands of depth.",
+    "measurement that the campaign asks for; bands.csv and a picture of it where it asks for all bands of depth, "
+    "maps.nc, maps.csv and a picture where it asks for maps.",
     examples=["smfe lobes campaign.toml", "smfe lobes campaign.toml --frf results/frf.nc"],
     keeps="nothing was written, and what was identified is kept beside the results",
-    keys="output, table, bands, limits",
+    keys="output, table, bands, written, limits",
 )
 def lobes(
     terminal: Terminal,
@@ -41,6 +42,9 @@ def lobes(
     bands: Annotated[
         Path, typer.Option(help="CSV table of all bands of depth, where bands_up_to asks for them.")
     ] = Path("bands.csv"),
+    maps: Annotated[
+        Path, typer.Option(help="NetCDF file of maps over speed and depth, where maps_up_to asks for them.")
+    ] = Path("maps.nc"),
 ) -> Outcome:
     """Compute the stability lobes that a campaign asks for."""
     import smfe
@@ -48,9 +52,10 @@ def lobes(
     from smfe.results import Failures, unpack_warnings
 
     failures: Failures = []
+    written: list[Path] = []
     with terminal.bar() as progress:
-        results = smfe.lobes(campaign, output, table, frf, progress, failures, bands)
-    lines, content, warnings, written = [], [], [], [output, table]
+        results = smfe.lobes(campaign, output, table, frf, progress, failures, bands, maps, written)
+    lines, content, warnings = [], [], []
     for r in results:
         depth, speed = r.lobes["limit_depth"].values, r.lobes["spindle_speed"].values
         low, high = int(depth.argmin()), int(depth.argmax())
@@ -68,7 +73,6 @@ def lobes(
         found = unpacked(r.lobes)
         if found is not None:
             lines.append(f"{r.request}, {r.source}: {islands_said(found)}")
-            written = [output, table, bands]
         content.append(
             {
                 "lobes": r.request,
@@ -81,7 +85,12 @@ def lobes(
         )
         warnings += [f"{r.request}, {r.source}: {warning}" for warning in unpack_warnings(r.lobes)]
     lines.append(f"written: {', '.join(map(str, written))}; next: smfe run {campaign} recommends a speed and a depth")
-    said = {"output": str(output), "table": str(table), "bands": str(bands) if bands in written else None}
+    said: dict[str, Any] = {
+        "output": str(output),
+        "table": str(table),
+        "bands": str(bands) if bands in written else None,
+    }
+    said["written"] = [str(file) for file in written]
     return Outcome(lines, {**said, "limits": content}, warnings, failures)
 
 
@@ -94,8 +103,8 @@ def lobes(
         'smfe pitch campaign.toml --speed "4200 rpm" --lobes lobes_2 --around 0.05',
     ],
     keeps="nothing was written, and what was identified is kept beside the results",
-    keys="output, lobes, source, spindle_speed_rpm, pattern, pitch_angles_deg, line, gain, limit_mm, equal_limit_mm, "
-    "largest_chip, verified",
+    keys="output, written, lobes, source, spindle_speed_rpm, pattern, pitch_angles_deg, line, gain, limit_mm, "
+    "equal_limit_mm, largest_chip, verified",
 )
 def pitch(
     terminal: Terminal,
@@ -120,6 +129,7 @@ def pitch(
 ) -> Outcome:
     """Find the unequal pitch of the teeth that raises the limit most at a spindle speed."""
     import smfe
+    from smfe.commands.cut.pitch import WRITTEN
 
     with terminal.bar() as progress:
         found = smfe.pitch(
@@ -144,9 +154,11 @@ def pitch(
             f"mm with equal pitch: {found.design.gain:.3g} times",
             f"{found.line()}; the thickest chip is {found.largest_chip:.3g} times the mean",
         ]
-    lines.append(f"written: {output / 'pitch.toml'}; next: paste it into [tool], smfe run {campaign}")
+    written = [output / name for name in (*WRITTEN, "figures/pitch.png")]
+    lines.append(f"written: {', '.join(map(str, written))}; next: paste pitch.toml into [tool], smfe run {campaign}")
     content = {
         "output": str(output),
+        "written": [str(file) for file in written],
         "lobes": found.asked.request.name,
         "source": found.asked.source,
         "spindle_speed_rpm": found.spindle_speed,

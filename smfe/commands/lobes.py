@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, overload
@@ -22,7 +21,8 @@ from smfe.identification.compliances import labelled
 from smfe.identification.levels import with_levels
 from smfe.kept import KEPT
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
-from smfe.limits.lobe_files import bands_table, joined
+from smfe.limits.cut_maps import without
+from smfe.limits.lobe_files import bands_table, joined, write_maps
 from smfe.modes.fit_modes import ModalFit
 from smfe.progress import Progress, part, silent, warn
 from smfe.results import (
@@ -50,6 +50,8 @@ def lobes(
     progress: Progress = silent,
     failures: Failures | None = None,
     bands: Path | str | None = None,
+    maps: Path | str | None = None,
+    written: list[Path] | None = None,
 ) -> list[LobeResult]: ...
 
 
@@ -113,6 +115,11 @@ def lobes(source: Any, *given: Any, **named: Any) -> list[LobeResult] | xr.Datas
     bands : path, optional
         With a campaign: CSV table of the bands of depth, where it asks for them with ``bands_up_to``; a picture of each
         source beside it, under its name.
+    maps : path, optional
+        With a campaign: NetCDF file of the maps over speed and depth, where it asks for them with ``maps_up_to``; a
+        CSV table and a picture of each source beside it, under its name.
+    written : list of Path, optional
+        With a campaign: is told every file that was written.
     tool : Tool or mapping
         The tool, or the keys of ``[tool]``.
     material : CuttingCoefficients or mapping
@@ -175,6 +182,8 @@ def _of_campaign(
     progress: Progress = silent,
     failures: Failures | None = None,
     bands: Path | str | None = None,
+    maps: Path | str | None = None,
+    written: list[Path] | None = None,
 ) -> list[LobeResult]:
     loaded = load_campaign(campaign)
     path = None if output is None else Path(output)
@@ -190,32 +199,58 @@ def _of_campaign(
         compliances = labelled(with_levels(loaded), found)
     results = all_lobes(with_levels(loaded), compliances, part(progress, 0.7 if frf is None else 0.0, 1.0), failures)
     require_something(results, failures)
-    _write(results, path, table, failures)
+    files = _write(results, path, table, failures)
     if bands is not None:
-        _write_bands(results, Path(bands))
+        files += _write_bands(results, Path(bands))
+    if maps is not None:
+        files += _write_maps(results, Path(maps))
+    if written is not None:
+        written += files
     return results
 
 
-def _write_bands(results: Sequence[LobeResult], path: Path) -> None:
-    """Write the bands of depth, and a picture a source; without any nothing."""
+def _write_bands(results: Sequence[LobeResult], path: Path) -> list[Path]:
+    """Write the bands of depth, and a picture a source; without any nothing. Return the files."""
     found = bands_table(results)
     if found is None:
-        return
+        return []
     from smfe.reporting.figures.draw_matplotlib import draw_bands, save
+    from smfe.reporting.maps.images import picture_name
 
-    write_csv(path, found)
+    out = [write_csv(path, found)]
     for (request, source), own in found.groupby(["lobes", "source"], sort=False):
-        name = re.sub(r"[^\w-]", "_", f"{request}_{source}")
-        save(draw_bands(own, f"{request}, {source}"), path.with_name(f"{path.stem}_{name}.png"))
+        name = picture_name(path.stem, str(request), str(source))
+        out.append(save(draw_bands(own, f"{request}, {source}"), path.with_name(name)))
+    return out
+
+
+def _write_maps(results: Sequence[LobeResult], path: Path) -> list[Path]:
+    """Write the maps as arrays and as a table, and a picture a source; without any nothing. Return the files."""
+    found = write_maps(results, path, path.with_suffix(".csv"))
+    if not found:
+        return []
+    from smfe.reporting.figures.draw_matplotlib import save
+    from smfe.reporting.maps.contours import draw_maps
+    from smfe.reporting.maps.images import picture_name
+
+    out = [path, path.with_suffix(".csv")]
+    for name, maps in found.items():
+        request, _, source = name.partition("/")
+        picture = path.with_name(picture_name(path.stem, request, source))
+        out.append(save(draw_maps(maps, f"{request}, {source}"), picture))
+    return out
 
 
 def _write(
     results: Sequence[LobeResult], output: Path | None, table: Path | str | None, failures: Failures | None
-) -> None:
+) -> list[Path]:
+    out = []
     if output is not None:
-        write_groups(output, {f"{r.request}/{r.source}": r.lobes for r in results}, pack(failures or ()))
+        groups = {f"{r.request}/{r.source}": without(r.lobes) for r in results}
+        out.append(write_groups(output, groups, pack(failures or ())))
     if table is not None:
-        write_table(joined(results), Path(table))
+        out.append(write_table(joined(results), Path(table)))
+    return out
 
 
 def _of_compliances(

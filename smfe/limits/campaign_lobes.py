@@ -22,6 +22,8 @@ from smfe.campaign import Campaign, LobeRequest
 from smfe.campaign.machine import MACHINE
 from smfe.kept import key_of
 from smfe.limits.cut_conditions import FIXED, Source, in_motion, kind_of, sources_of, turned, turned_modes
+from smfe.limits.cut_maps import REACH, maps_over, reach_over
+from smfe.limits.cut_maps import packed as packed_maps
 from smfe.limits.depth_bands import bands_over, packed
 from smfe.limits.operating_conditions import over_conditions
 from smfe.limits.source_modes import asked_cut, fitted_modes
@@ -32,6 +34,14 @@ from stability import Spread, carries_errors, lobe_curves, lobe_table, operating
 from stability.bands.depth_quantiles import exact_band
 from stability.methods.catalogue import METHODS
 from stability.tables.lobe_table import Origin
+
+ALLOWED = (
+    ("spindle_power", "spindle_power_kW", 1e-3),
+    ("spindle_torque", "spindle_torque_Nm", 1.0),
+    ("deflection", "deflection_um", 1e6),
+    ("surface_error", "surface_error_um", 1e6),
+)
+"""Key of ``[[lobes]]``, attribute of lobes, and the factor from SI."""
 
 WORN = (
     "these limits are those of a worn flank, and how well process_damping is known is not said: they have no quantiles "
@@ -72,6 +82,8 @@ class LobeResult:
         Whether an axis moved while it was measured.
     near : pandas.DataFrame, optional
         Where single speeds are asked for: the same table with the speeds that the spindle may turn about them.
+    reach : xarray.Dataset, optional
+        Where deflection or surface error are limited: the depths that these allow over all speeds, `REACH`.
     """
 
     request: str
@@ -82,6 +94,7 @@ class LobeResult:
     kind: str
     in_motion: bool = False
     near: pd.DataFrame | None = None
+    reach: xr.Dataset | None = None
 
 
 def all_lobes(
@@ -149,10 +162,19 @@ def _limits(
     if request.method == "operating_point":
         return limits
     limits = _banded(campaign, whole, names[0], compliances[names[0]], limits)
-    if request.bands_up_to is not None:
+    limited = request.deflection is not None or request.surface_error is not None
+    if limited or request.bands_up_to is not None or request.maps_up_to is not None:
         asked = asked_cut(campaign, request, names[0], compliances[names[0]])
-        bands, notes = bands_over(asked, request.spindle_speed, request.bands_up_to, progress)
-        limits = _saying(limits.assign(packed(bands)), notes)
+        if limited or request.maps_up_to is not None:
+            limits = _saying(limits, [n.replace("the limits are those", "the vibration is that") for n in asked.notes])
+        if limited:
+            limits = limits.assign(reach_over(asked, whole.spindle_speed, limits, progress))
+        if request.maps_up_to is not None:
+            maps = maps_over(asked, request.spindle_speed, request.maps_up_to, limits, progress)
+            limits = limits.assign(packed_maps(maps))
+        if request.bands_up_to is not None:
+            bands, notes = bands_over(asked, request.spindle_speed, request.bands_up_to, progress)
+            limits = _saying(limits.assign(packed(bands)), notes)
     return _with_curves(campaign, request, compliances[names[0]], limits)
 
 
@@ -352,15 +374,16 @@ def _result(campaign: Campaign, request: LobeRequest, of: Source, limits: xr.Dat
     limits = _known(limits)
     origin = Origin(source, request.name, kind, request.method, request.cut)
     table = lobe_table(limits, origin, campaign.tool, request.width_of_cut, request.feed_per_tooth)
-    near = None
+    near, names = None, [name for name in REACH if name in limits]
+    reach = limits[names] if names else None
     if request.listed:
         asked = request.spindle_speed[np.isin(request.spindle_speed, limits["spindle_speed"].values)]
         at = np.searchsorted(limits["spindle_speed"].values, asked)
         near, table, limits = table, table.iloc[at].reset_index(drop=True), limits.isel(spindle_speed=at)
     notes = list(limits.attrs.pop("warnings", ()))
     if campaign.missing_coefficients:
-        names = " and ".join(campaign.missing_coefficients)
-        notes.append(f"[material] gives no {names}: taken as zero, with which forces along the normal are missing")
+        said = " and ".join(campaign.missing_coefficients)
+        notes.append(f"[material] gives no {said}: taken as zero, with which forces along the normal are missing")
     limits = pack_warnings(limits, notes)
     limits = limits.assign_attrs(
         source=source,
@@ -373,6 +396,9 @@ def _result(campaign: Campaign, request: LobeRequest, of: Source, limits: xr.Dat
         coefficient_uncertainty=campaign.coefficients_known_within,
         feed_direction_deg=round(math.degrees(request.feed_direction), 9),
     )
+    for key, attr, factor in ALLOWED:
+        if (value := getattr(request, key)) is not None:
+            limits = limits.assign_attrs({attr: value * factor})
     if request.engaged is not None:
         arcs = [math.degrees(angle) for part in request.engaged.arcs for angle in (part.entry, part.exit)]
         limits = limits.assign_attrs(arcs_deg=np.array(arcs))
@@ -380,4 +406,4 @@ def _result(campaign: Campaign, request: LobeRequest, of: Source, limits: xr.Dat
         limits = limits.assign_attrs(
             process_damping_N_m=request.process_damping.coefficient, flank_friction=request.process_damping.friction
         )
-    return LobeResult(request.name, source, limits, table, request, kind, in_motion(campaign, of), near)
+    return LobeResult(request.name, source, limits, table, request, kind, in_motion(campaign, of), near, reach)

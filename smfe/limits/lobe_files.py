@@ -7,9 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import xarray as xr
 
 from smfe.campaign import Campaign
 from smfe.limits.campaign_lobes import LobeResult
+from smfe.limits.cut_maps import rows, without
+from smfe.limits.cut_maps import unpacked as maps_of
 from smfe.limits.depth_bands import unpacked
 from smfe.limits.recommendation import PRESETS, Recommendation, depths_of, recommend
 from smfe.results import LOBES, Failures, attempt, pack, write_csv, write_groups
@@ -17,7 +20,8 @@ from stability import write_presets, write_table
 from stability.tables.presets import RECOMMENDED
 
 POCKETS, DEPTHS, BANDS = "pockets.csv", "depth_table.csv", "bands.csv"
-MADE = ("lobes.nc", "lobe_table.csv", POCKETS, PRESETS, DEPTHS, BANDS)
+MAPS, MAPS_TABLE = "maps.nc", "maps.csv"
+MADE = ("lobes.nc", "lobe_table.csv", POCKETS, PRESETS, DEPTHS, BANDS, MAPS, MAPS_TABLE)
 """Files that lobes make."""
 
 
@@ -36,6 +40,35 @@ def bands_table(results: Sequence[LobeResult]) -> pd.DataFrame | None:
             bands.insert(0, "lobes", r.request)
             frames.append(bands)
     return pd.concat(frames, ignore_index=True) if frames else None
+
+
+def write_maps(results: Sequence[LobeResult], arrays: Path, table: Path) -> dict[str, xr.Dataset]:
+    """Write the maps over speed and depth of every result that has some; without any nothing is written.
+
+    Parameters
+    ----------
+    results : sequence of LobeResult
+        From `all_lobes`.
+    arrays, table : Path
+        NetCDF file, a group "lobes_1/SOURCE" each; CSV table, a row a speed and depth.
+
+    Returns
+    -------
+    dict of str to xarray.Dataset
+        "lobes_1/SOURCE" -> its maps.
+    """
+    found = {f"{r.request}/{r.source}": m for r in results if (m := maps_of(r.lobes)) is not None}
+    if found:
+        write_groups(arrays, found)
+        frames = []
+        for name, maps in found.items():
+            request, _, source = name.partition("/")
+            frame = rows(maps)
+            frame.insert(0, "source", source)
+            frame.insert(0, "lobes", request)
+            frames.append(frame)
+        write_table(pd.concat(frames, ignore_index=True), table)
+    return found
 
 
 def depth_table(
@@ -118,14 +151,15 @@ def write_lobes(
             write_groups(folder / "lobes.nc", {}, missing)
         return
     accuracy = campaign.spindle.accuracy
-    groups = {f"{r.request}/{r.source}": r.lobes.assign_attrs(spindle_accuracy=accuracy) for r in results}
+    groups = {f"{r.request}/{r.source}": without(r.lobes).assign_attrs(spindle_accuracy=accuracy) for r in results}
     write_groups(folder / "lobes.nc", groups, missing)
     write_table(joined(results), folder / "lobe_table.csv")
-    for name in (POCKETS, PRESETS, DEPTHS, BANDS):
+    for name in (POCKETS, PRESETS, DEPTHS, BANDS, MAPS, MAPS_TABLE):
         (folder / name).unlink(missing_ok=True)
     bands = bands_table(results)
     if bands is not None:
         write_csv(folder / BANDS, bands)
+    write_maps(results, folder / MAPS, folder / MAPS_TABLE)
     with attempt(failures, "recommendation"):
         found = recommend(results, campaign, tests)
         document = found.document()

@@ -20,7 +20,7 @@ Over all requests the recommendation is that with the largest removal rate among
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -106,6 +106,8 @@ class Recommendation:
         Name, diameter, teeth, approach angle, and where they are known pitch, helix and length of the edges.
     material, machine : str
         As the campaign calls them.
+    limited_by : str
+        What keeps the depth from being greater, "the power of the spindle: 9.8 of 10 kW"; empty without a depth.
     """
 
     status: str
@@ -132,6 +134,7 @@ class Recommendation:
     tool: Mapping[str, Any]
     material: str
     machine: str
+    limited_by: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain values under the same names, as every output writes it."""
@@ -248,7 +251,7 @@ def depths_of(result: LobeResult, campaign: Campaign) -> pd.DataFrame:
 def _rules(result: LobeResult, campaign: Campaign) -> dict[str, Any]:
     """Return the table of a result, and what limits its cut, as `best_pockets` takes them."""
     asked, table = result.asked, result.table if result.near is None else result.near
-    ceilings, spindle = ceilings_of(campaign, asked), fastest(campaign, asked)
+    ceilings, spindle = ceilings_of(campaign, asked, result.reach), fastest(campaign, asked)
     if spindle is None:
         table = table.iloc[:0]
     elif not ceilings:
@@ -354,6 +357,17 @@ class _Candidate:
             count += _outcome(test) == "chatter" and float(test["depth_of_cut_mm"]) <= safe
         return count
 
+    def limited_by(self, row: Mapping[Hashable, Any] | pd.Series) -> str:
+        """Return what keeps a pocket from being deeper, and how much of what is allowed it takes."""
+        at, depth = float(row["spindle_speed_rpm"]), float(row["depth_of_cut_mm"])
+        given = depth if math.isfinite(depth) else float(row["limit_depth_mm"])
+        least = (math.inf, "chatter")
+        for ceiling in ceilings_of(self.campaign, self.result.asked, self.result.reach):
+            allowed = 1e3 * float(ceiling.at(np.array([at]))[0])
+            if allowed < given + DEPTH_STEP - 1e-9 and allowed < least[0]:
+                least = (allowed, ceiling.said(1e-3 * min(given, allowed), at))
+        return least[1]
+
     @property
     def status(self) -> str:
         """What the best pocket is good for."""
@@ -383,6 +397,7 @@ class _Candidate:
         out.insert(2, "kind", self.result.kind)
         out.insert(3, "method", asked.method)
         out.insert(4, "cut", asked.cut)
+        out["limited_by"] = [self.limited_by(row) for row in self.pockets.to_dict("records")]
         if self.contradicted:
             # Nothing that a test has refuted is called safe, in any file.
             for name in ("depth_of_cut_mm", "safe_depth_mm", "removal_rate_cm3_min"):
@@ -421,6 +436,7 @@ class _Candidate:
             tool=tool_of(campaign),
             material=campaign.material or "work material",
             machine=campaign.machine or campaign.name,
+            limited_by="" if row is None or status != RECOMMENDED else self.limited_by(row),
         )
 
 
@@ -522,11 +538,7 @@ def _tests(count: int) -> str:
 
 def _depth_sentence(source: _Candidate, row: pd.Series) -> str:
     """Say what limits the depth."""
-    speed = np.array([float(row["spindle_speed_rpm"])])
-    for ceiling in ceilings_of(source.campaign, source.result.asked):
-        if 1e3 * ceiling.at(speed)[0] < float(row["depth_of_cut_mm"]) + DEPTH_STEP - 1e-9:
-            return f"The depth is limited by {ceiling.what}."
-    return "The depth is limited by chatter."
+    return f"The depth is limited by {source.limited_by(row)}."
 
 
 def _no_depth(source: _Candidate) -> str:

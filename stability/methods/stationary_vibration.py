@@ -220,7 +220,7 @@ class _AtSpeed:
         """Return the force of each contact in the periodic motion, shape (3, m)."""
         static = depth * self.static
         if self.mesh.pattern.delay.size == 1 or np.ptp(self.mesh.pattern.delay) < 1e-12:
-            return static  # the vibration repeats from tooth to tooth, and leaves no wave
+            return np.asarray(static)  # the vibration repeats from tooth to tooth, and leaves no wave
         crossing = self.dense.crossing(np.zeros(1))[0].real
         x = np.linalg.solve(np.eye(crossing.shape[0]) - depth * crossing, depth * self.free_chips)
         return np.asarray(static + depth * self.mesh.force * ((self.dense.kept - self.dense.wrapped) @ x))

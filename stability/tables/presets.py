@@ -74,7 +74,8 @@ def _operating_point(status: list[str], number: dict[str, Any]) -> dict[str, Any
             "tool": _TOOL,
             "material": _TEXT,
             "machine": _TEXT,
-        }
+        },
+        {"limited_by": {"type": "string"}},
     )
 
 

@@ -16,7 +16,7 @@ from functools import partial
 
 import numpy as np
 
-from process.cut.engagement import Engagement
+from process.cut.engagement import AnyEngagement, Engagement
 from process.cut.force import CuttingCoefficients, ProcessDamping
 from process.cut.tool import Tool
 from process.errors import InputError
@@ -49,7 +49,7 @@ class Limit:
     frequency: float | None = None  # chatter frequency [Hz]
     frequency_std: float = 0.5  # its standard deviation [Hz]; the `CuttingRules.frequency_floor` is added
     feed_per_tooth: float = 1e-4  # [m]; with the depth it sets how hard the machine is shaken
-    arc: Engagement | None = None  # where it differs from the family's
+    arc: AnyEngagement | None = None  # where it differs from the family's
     name: str = ""  # for people; default made of speed and feed per tooth
 
     @property

@@ -17,6 +17,8 @@ KNOWN: dict[str, tuple[str, str]] = {
     "pockets.csv": ("The recommendation first, then the pockets between the lobes", _SHEET),
     "lobe_table.csv": ("Limit depth, its interval and safe depth over spindle speed", _SHEET),
     "bands.csv": ("All bands of depth, stable and unstable, over spindle speed", _SHEET),
+    "maps.csv": ("Vibration, wall, force, torque and power over spindle speed and depth", _SHEET),
+    "maps.nc": ("The same as arrays over spindle speed and depth", _ARRAYS),
     "lobes.nc": ("Stability lobes with quantiles and single lobes", _ARRAYS),
     "chatter.csv": ("Cutting tests: verdict, chatter frequency, what was predicted", _SHEET),
     "ranking.csv": ("Methods by the share of cutting tests that they predict rightly", _SHEET),

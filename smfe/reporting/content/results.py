@@ -195,6 +195,8 @@ class Results:
         Rows of pockets.csv; of depth_table.csv, depth over speed and width of cut.
     ranking, differences : pandas.DataFrame or None
         Rows of ranking.csv and ranking_differences.csv: methods by what they predict.
+    maps : mapping of str to xarray.Dataset
+        "lobes_1/SOURCE" -> vibration, wall, force and power over speed and depth, of maps.nc.
     curves : xarray.Dataset or None
         What a diagnosis compared, of finding.nc; None when it is absent.
     """
@@ -220,6 +222,7 @@ class Results:
     ranking: pd.DataFrame | None = None
     differences: pd.DataFrame | None = None
     open_loops: Mapping[str, xr.Dataset] = field(default_factory=dict)
+    maps: Mapping[str, xr.Dataset] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -315,6 +318,7 @@ def read_results(folder: Path) -> Results:
         _read_csv(folder / "ranking.csv", ("method", "controller", "spindle_speed_rpm", "tests", "right")),
         _read_csv(folder / "ranking_differences.csv", ("method_a", "method_b", "controller", "tests", "significant")),
         _read_open_loops(folder / "open_loops.nc"),
+        _groups(folder / "maps.nc"),
     )
 
 

@@ -43,6 +43,8 @@ from smfe.reporting.figures.draw_diagnosis import draw_compared, draw_depths, dr
 from smfe.reporting.figures.draw_ranking import draw_ranking
 from smfe.reporting.figures.lobe_data import KICKED, LONGEST_NAME, SAFE, Diagram, advice_name, diagram, single_lobes
 from smfe.reporting.figures.thinning import columns_of, largest
+from smfe.reporting.maps.contours import draw_maps
+from smfe.reporting.maps.images import picture_name
 from smfe.results import write_atomically
 
 DPI = 150
@@ -91,8 +93,12 @@ def pictures(results: Results, looks: Mapping[str, Line]) -> dict[str, Draw]:
         for item in lobes:
             bands = unpacked(item.data)
             if bands is not None:
-                own = re.sub(r"[^\w-]", "_", f"{request}_{item.source}")
-                out[f"bands_{own}.png"] = partial(draw_bands, bands, f"{request}, {item.source}")
+                name = picture_name("bands", request, item.source)
+                out[name] = partial(draw_bands, bands, f"{request}, {item.source}")
+            maps = results.maps.get(f"{request}/{item.source}")
+            if maps is not None:
+                name = picture_name("maps", request, item.source)
+                out[name] = partial(draw_maps, maps, f"{request}, {item.source}")
     shown = [m for m in results.measurements if m.entries]
     if shown:
         out["compliance.png"] = partial(draw_compliance, shown, looks)
@@ -128,6 +134,7 @@ def remove_stale(folder: Path, kept: Mapping[str, Draw]) -> None:
     for pattern in (
         "lobes_*.png",
         "bands_*.png",
+        "maps_*.png",
         "conditions_*.png",
         "drive_*.png",
         "loop_*.png",

@@ -8,9 +8,10 @@ import numpy as np
 
 from smfe.reporting.content import advice
 from smfe.reporting.content.results import Lobes, bands
-from smfe.reporting.content.style import band_text
+from smfe.reporting.content.style import band_text, spoken
 from smfe.reporting.figures import figure_data
 from smfe.reporting.figures.plotly_lobes import chatter_figure
+from smfe.reporting.maps.images import embedded, picture_name
 from smfe.reporting.sections.draft import Draft
 
 
@@ -32,11 +33,34 @@ def section(draft: Draft) -> dict[str, Any]:
                 "sources": advice.sources(results, lobes, found),
                 "pockets": advice.pockets(results, request),
                 "plot": "" if figure is None else name,
+                "pictures": _pictures(draft, request, [item.source for item in lobes]),
                 "unlimited": [(item.source, _unlimited(item)) for item in lobes if _unlimited(item)],
             }
         )
     failures = draft.failures("lobes")
     return {"requests": out, "depths": advice.depths(results), "failures": failures} if out or failures else {}
+
+
+_PICTURES = {
+    "bands": ("All bands of depth", "Unstable bands, and where the cut is stable again above its first limit."),
+    "maps": (
+        "Vibration, wall, force, torque and power over spindle speed and depth",
+        "Of the cut without chatter; hatched: beyond the limit, where chatter overgrows it. Errors of a wall are "
+        "positive where too much is cut.",
+    ),
+}
+"""Kind of a picture -> its heading, what it shows."""
+
+
+def _pictures(draft: Draft, request: str, sources: list[str]) -> list[dict[str, str]]:
+    """Return the pictures of a request that the page holds as images."""
+    out = []
+    for kind, (title, said) in _PICTURES.items():
+        for source in sources:
+            image = embedded(draft.results.folder, picture_name(kind, request, source))
+            if image:
+                out.append({"title": f"{title}: {spoken(source)}", "image": image, "said": said})
+    return out
 
 
 def _unlimited(item: Lobes) -> str:

@@ -9,7 +9,7 @@ import pytest
 from process import CuttingCoefficients, Engagement, InputError, ModalModel, Tool, engagement, engagement_of_strips
 from process.cut.force import force_projection
 from stability import cut_maps, floquet_multipliers, limit_depth
-from stability.cut_maps import depths_within
+from stability.vibration_maps import depths_within
 from tests.truth.milling_steady import steady
 
 FEED = 1e-4

@@ -1,0 +1,1 @@
+"""Pictures over spindle speed and depth of cut."""
