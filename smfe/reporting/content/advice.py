@@ -111,6 +111,8 @@ def details(advice: Advice) -> list[tuple[str, str]]:
         out.append(("Cutting speed", f"{number(advice['cutting_speed_m_min'])} m/min"))
     if advice["speed_from_rpm"] is not None:
         out.append(("Holds from", f"{number(advice['speed_from_rpm'])} to {number(advice['speed_to_rpm'])} rpm"))
+    if advice.get("limited_by"):
+        out.append(("Limited by", str(advice["limited_by"])))
     if advice["limit_depth_mm"] is not None:
         value, between = with_range(*(advice[f"limit_depth{end}_mm"] for end in ("", "_p05", "_p95")))
         # A limit without a depth stands above in large type.
