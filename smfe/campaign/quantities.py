@@ -315,13 +315,29 @@ def _listed(value: Any) -> SpindleSpeeds:
 LobeSpeeds = Annotated[SpindleSpeeds, BeforeValidator(_speeds)]
 
 
+_MOST_WIDTHS = 60
+"""Widths of a range, at most: each is a request of its own."""
+
+
 def _widths(value: Any) -> tuple[float, ...]:
-    """A width, or a list of them -> rising [m], each once."""
+    """A width, a list of them, or from, to and step -> rising [m], each once.
+
+    Three values of which the last is below the second are a range: three widths are written rising.
+    """
     found = [units.parse(item, "length") for item in (value if isinstance(value, list) else [value])]
     if not found:
         raise InputError("is empty; at least one width is needed")
     if min(found) <= 0.0 or not math.isfinite(max(found)):
         raise InputError(f"{value!r} is not possible; a width of cut must be positive")
+    if len(found) == 3 and found[0] < found[1] > found[2]:
+        low, high, step = found
+        count = int((high - low) / step * (1.0 + 1e-9)) + 1
+        if not 2 <= count <= _MOST_WIDTHS:
+            raise InputError(
+                f"a step of {value[2]} does not divide {value[0]} to {value[1]} into 2 to {_MOST_WIDTHS} widths; three "
+                "widths are written rising"
+            )
+        return tuple(round(low + k * step, 12) for k in range(count))
     if len({round(w, 12) for w in found}) < len(found):
         raise InputError(f"{value!r} names a width twice; name each once")
     return tuple(sorted(found))

@@ -28,7 +28,7 @@ KnownCompliances = Annotated[
     PREDICT,
     gives="lobes.nc and lobe_table.csv: the limit depth over the spindle speed with its quantiles, for each "
     "measurement that the campaign asks for; bands.csv and a picture of it where it asks for all bands of depth, "
-    "maps.nc, maps.csv and a picture where it asks for maps.",
+    "maps.nc, maps.csv and a picture where it asks for maps; widths.nc, widths.csv and a picture of several widths.",
     examples=["smfe lobes campaign.toml", "smfe lobes campaign.toml --frf results/frf.nc"],
     keeps="nothing was written, and what was identified is kept beside the results",
     keys="output, table, bands, written, limits",
@@ -45,6 +45,9 @@ def lobes(
     maps: Annotated[
         Path, typer.Option(help="NetCDF file of maps over speed and depth, where maps_up_to asks for them.")
     ] = Path("maps.nc"),
+    widths: Annotated[
+        Path, typer.Option(help="NetCDF file of limits over width of cut and speed, where there are several widths.")
+    ] = Path("widths.nc"),
 ) -> Outcome:
     """Compute the stability lobes that a campaign asks for."""
     import smfe
@@ -54,7 +57,7 @@ def lobes(
     failures: Failures = []
     written: list[Path] = []
     with terminal.bar() as progress:
-        results = smfe.lobes(campaign, output, table, frf, progress, failures, bands, maps, written)
+        results = smfe.lobes(campaign, output, table, frf, progress, failures, bands, maps, widths, written)
     lines, content, warnings = [], [], []
     for r in results:
         depth, speed = r.lobes["limit_depth"].values, r.lobes["spindle_speed"].values

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, overload
 
@@ -23,6 +23,7 @@ from smfe.kept import KEPT
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
 from smfe.limits.cut_maps import without
 from smfe.limits.lobe_files import bands_table, joined, write_maps
+from smfe.limits.widths import write_widths
 from smfe.modes.fit_modes import ModalFit
 from smfe.progress import Progress, part, silent, warn
 from smfe.results import (
@@ -51,6 +52,7 @@ def lobes(
     failures: Failures | None = None,
     bands: Path | str | None = None,
     maps: Path | str | None = None,
+    widths: Path | str | None = None,
     written: list[Path] | None = None,
 ) -> list[LobeResult]: ...
 
@@ -118,6 +120,9 @@ def lobes(source: Any, *given: Any, **named: Any) -> list[LobeResult] | xr.Datas
     maps : path, optional
         With a campaign: NetCDF file of the maps over speed and depth, where it asks for them with ``maps_up_to``; a
         CSV table and a picture of each source beside it, under its name.
+    widths : path, optional
+        With a campaign: NetCDF file of the limits over width of cut and speed, where a request has several widths; a
+        CSV table and a picture of each source beside it, under its name.
     written : list of Path, optional
         With a campaign: is told every file that was written.
     tool : Tool or mapping
@@ -183,6 +188,7 @@ def _of_campaign(
     failures: Failures | None = None,
     bands: Path | str | None = None,
     maps: Path | str | None = None,
+    widths: Path | str | None = None,
     written: list[Path] | None = None,
 ) -> list[LobeResult]:
     loaded = load_campaign(campaign)
@@ -203,7 +209,9 @@ def _of_campaign(
     if bands is not None:
         files += _write_bands(results, Path(bands))
     if maps is not None:
-        files += _write_maps(results, Path(maps))
+        files += _write_surfaces(results, Path(maps), write_maps, "draw_maps")
+    if widths is not None:
+        files += _write_surfaces(results, Path(widths), write_widths, "draw_widths")
     if written is not None:
         written += files
     return results
@@ -224,20 +232,25 @@ def _write_bands(results: Sequence[LobeResult], path: Path) -> list[Path]:
     return out
 
 
-def _write_maps(results: Sequence[LobeResult], path: Path) -> list[Path]:
-    """Write the maps as arrays and as a table, and a picture a source; without any nothing. Return the files."""
-    found = write_maps(results, path, path.with_suffix(".csv"))
+def _write_surfaces(
+    results: Sequence[LobeResult],
+    path: Path,
+    write: Callable[[Sequence[LobeResult], Path, Path], dict[str, xr.Dataset]],
+    draw: str,
+) -> list[Path]:
+    """Write what a request has over two coordinates as arrays, as a table, and a picture a source; return the files."""
+    found = write(results, path, path.with_suffix(".csv"))
     if not found:
         return []
     from smfe.reporting.figures.draw_matplotlib import save
-    from smfe.reporting.maps.contours import draw_maps
+    from smfe.reporting.maps import contours
     from smfe.reporting.maps.images import picture_name
 
     out = [path, path.with_suffix(".csv")]
-    for name, maps in found.items():
+    for name, one in found.items():
         request, _, source = name.partition("/")
         picture = path.with_name(picture_name(path.stem, request, source))
-        out.append(save(draw_maps(maps, f"{request}, {source}"), picture))
+        out.append(save(getattr(contours, draw)(one, f"{request}, {source}"), picture))
     return out
 
 

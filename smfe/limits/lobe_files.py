@@ -15,13 +15,15 @@ from smfe.limits.cut_maps import rows, without
 from smfe.limits.cut_maps import unpacked as maps_of
 from smfe.limits.depth_bands import unpacked
 from smfe.limits.recommendation import PRESETS, Recommendation, depths_of, recommend
+from smfe.limits.widths import write_widths
 from smfe.results import LOBES, Failures, attempt, pack, write_csv, write_groups
 from stability import write_presets, write_table
 from stability.tables.presets import RECOMMENDED
 
 POCKETS, DEPTHS, BANDS = "pockets.csv", "depth_table.csv", "bands.csv"
 MAPS, MAPS_TABLE = "maps.nc", "maps.csv"
-MADE = ("lobes.nc", "lobe_table.csv", POCKETS, PRESETS, DEPTHS, BANDS, MAPS, MAPS_TABLE)
+WIDTHS, WIDTHS_TABLE = "widths.nc", "widths.csv"
+MADE = ("lobes.nc", "lobe_table.csv", POCKETS, PRESETS, DEPTHS, BANDS, MAPS, MAPS_TABLE, WIDTHS, WIDTHS_TABLE)
 """Files that lobes make."""
 
 
@@ -154,12 +156,13 @@ def write_lobes(
     groups = {f"{r.request}/{r.source}": without(r.lobes).assign_attrs(spindle_accuracy=accuracy) for r in results}
     write_groups(folder / "lobes.nc", groups, missing)
     write_table(joined(results), folder / "lobe_table.csv")
-    for name in (POCKETS, PRESETS, DEPTHS, BANDS, MAPS, MAPS_TABLE):
+    for name in MADE[2:]:
         (folder / name).unlink(missing_ok=True)
     bands = bands_table(results)
     if bands is not None:
         write_csv(folder / BANDS, bands)
     write_maps(results, folder / MAPS, folder / MAPS_TABLE)
+    write_widths(results, folder / WIDTHS, folder / WIDTHS_TABLE)
     with attempt(failures, "recommendation"):
         found = recommend(results, campaign, tests)
         document = found.document()

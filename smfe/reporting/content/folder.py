@@ -19,6 +19,8 @@ KNOWN: dict[str, tuple[str, str]] = {
     "bands.csv": ("All bands of depth, stable and unstable, over spindle speed", _SHEET),
     "maps.csv": ("Vibration, wall, force, torque and power over spindle speed and depth", _SHEET),
     "maps.nc": ("The same as arrays over spindle speed and depth", _ARRAYS),
+    "widths.csv": ("Limit depth and removal rate over width of cut and spindle speed", _SHEET),
+    "widths.nc": ("The same as arrays over width of cut and spindle speed", _ARRAYS),
     "lobes.nc": ("Stability lobes with quantiles and single lobes", _ARRAYS),
     "chatter.csv": ("Cutting tests: verdict, chatter frequency, what was predicted", _SHEET),
     "ranking.csv": ("Methods by the share of cutting tests that they predict rightly", _SHEET),

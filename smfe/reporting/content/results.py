@@ -197,6 +197,8 @@ class Results:
         Rows of ranking.csv and ranking_differences.csv: methods by what they predict.
     maps : mapping of str to xarray.Dataset
         "lobes_1/SOURCE" -> vibration, wall, force and power over speed and depth, of maps.nc.
+    widths : mapping of str to xarray.Dataset
+        The same -> limits over width of cut and speed, of widths.nc.
     curves : xarray.Dataset or None
         What a diagnosis compared, of finding.nc; None when it is absent.
     """
@@ -223,6 +225,7 @@ class Results:
     differences: pd.DataFrame | None = None
     open_loops: Mapping[str, xr.Dataset] = field(default_factory=dict)
     maps: Mapping[str, xr.Dataset] = field(default_factory=dict)
+    widths: Mapping[str, xr.Dataset] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -319,6 +322,7 @@ def read_results(folder: Path) -> Results:
         _read_csv(folder / "ranking_differences.csv", ("method_a", "method_b", "controller", "tests", "significant")),
         _read_open_loops(folder / "open_loops.nc"),
         _groups(folder / "maps.nc"),
+        _groups(folder / "widths.nc"),
     )
 
 

@@ -43,7 +43,7 @@ from smfe.reporting.figures.draw_diagnosis import draw_compared, draw_depths, dr
 from smfe.reporting.figures.draw_ranking import draw_ranking
 from smfe.reporting.figures.lobe_data import KICKED, LONGEST_NAME, SAFE, Diagram, advice_name, diagram, single_lobes
 from smfe.reporting.figures.thinning import columns_of, largest
-from smfe.reporting.maps.contours import draw_maps
+from smfe.reporting.maps.contours import draw_maps, draw_widths
 from smfe.reporting.maps.images import picture_name
 from smfe.results import write_atomically
 
@@ -99,6 +99,9 @@ def pictures(results: Results, looks: Mapping[str, Line]) -> dict[str, Draw]:
             if maps is not None:
                 name = picture_name("maps", request, item.source)
                 out[name] = partial(draw_maps, maps, f"{request}, {item.source}")
+    for group, limits in results.widths.items():
+        request, _, source = group.partition("/")
+        out[picture_name("widths", request, source)] = partial(draw_widths, limits, f"{request}, {source}")
     shown = [m for m in results.measurements if m.entries]
     if shown:
         out["compliance.png"] = partial(draw_compliance, shown, looks)
@@ -135,6 +138,7 @@ def remove_stale(folder: Path, kept: Mapping[str, Draw]) -> None:
         "lobes_*.png",
         "bands_*.png",
         "maps_*.png",
+        "widths_*.png",
         "conditions_*.png",
         "drive_*.png",
         "loop_*.png",

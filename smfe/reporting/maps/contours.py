@@ -49,6 +49,34 @@ def draw_maps(maps: xr.Dataset, title: str = "") -> Figure:
     return figure
 
 
+def draw_widths(limits: xr.Dataset, title: str = "") -> Figure:
+    """Return the picture of the limits of one source over spindle speed and width of cut, and of the removal rates.
+
+    Parameters
+    ----------
+    limits : xarray.Dataset
+        As `smfe.limits.widths.over_widths` returns them. Where there is no limit, or one beyond ``maximum_depth_mm``,
+        that depth is drawn, else the greatest limit that there is.
+    title : str, optional
+        Which request and source.
+    """
+    speed, width = (limits[name].values.astype(float) for name in ("spindle_speed", "width_of_cut"))
+    depth, feed = (limits[name].values.astype(float) for name in ("limit_depth", "feed"))
+    finite = depth[np.isfinite(depth)]
+    deepest = float(limits.attrs.get("maximum_depth_mm", finite.max() if finite.size else math.inf))
+    depth = np.minimum(depth, deepest)
+    figure = Figure(figsize=(11.0, 4.2), dpi=DPI, layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for ax, values, name in (
+        (left, depth, "limit depth [mm]"),
+        (right, 1e-3 * depth * width[:, None] * feed, "removal rate at the limit depth [cm3/min]"),
+    ):
+        draw_contours(figure, ax, (speed, width, values), name)
+        ax.set_ylabel("width of cut [mm]")
+    figure.suptitle(literal(title), fontsize="medium")
+    return figure
+
+
 def draw_contours(
     figure: Figure, ax: Axes, surface: tuple[Real, Real, Real], title: str, stable: Real | None = None
 ) -> None:

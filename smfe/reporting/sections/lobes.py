@@ -38,7 +38,8 @@ def section(draft: Draft) -> dict[str, Any]:
             }
         )
     failures = draft.failures("lobes")
-    return {"requests": out, "depths": advice.depths(results), "failures": failures} if out or failures else {}
+    content = {"requests": out, "depths": advice.depths(results), "widths": _widths(draft), "failures": failures}
+    return content if out or failures else {}
 
 
 _PICTURES = {
@@ -60,6 +61,18 @@ def _pictures(draft: Draft, request: str, sources: list[str]) -> list[dict[str, 
             image = embedded(draft.results.folder, picture_name(kind, request, source))
             if image:
                 out.append({"title": f"{title}: {spoken(source)}", "image": image, "said": said})
+    return out
+
+
+def _widths(draft: Draft) -> list[dict[str, str]]:
+    """Return the pictures of limits over width of cut and speed."""
+    out = []
+    for group in draft.results.widths:
+        request, _, source = group.partition("/")
+        image = embedded(draft.results.folder, picture_name("widths", request, source))
+        if image:
+            title = f"Limit depth and removal rate over spindle speed and width of cut: {spoken(source)}"
+            out.append({"title": title, "image": image, "said": "Each at the limit depth of its width."})
     return out
 
 

@@ -201,3 +201,53 @@ def test_lobes_in_memory_keep_what_is_allowed():
     assert "deflection_depth" in row_power["spindle"]
     assert row_power["spindle"].attrs["deflection_um"] == pytest.approx(20.0)
     smfe.recommendation(row_power, TOOL, tables)
+
+
+def test_limits_over_width_and_speed_are_those_of_each_width(tmp_path):
+    loaded = campaign(tmp_path)
+    ranged = loaded.path.read_text().replace('width_of_cut = "4 mm"', 'width_of_cut = ["2 mm", "16 mm", "7 mm"]')
+    loaded.path.write_text(ranged.replace('"100 rpm"', '"500 rpm"'))
+    words = ["lobes", "campaign.toml", "-o", "l.nc", "--table", "t.csv", "--widths", "w.nc"]
+    words = [str(tmp_path / w) if "." in w else w for w in words]
+    done = CliRunner().invoke(app, [*words, "--json", "-q"])
+    assert done.exit_code == 0, done.output
+    names = [Path(name).name for name in json.loads(done.stdout)["written"]]
+    assert names == ["l.nc", "t.csv", "w.nc", "w.csv", "w_lobes_1_spindle.png"]
+    found = xr.open_datatree(tmp_path / "w.nc", engine="h5netcdf")["lobes_1/spindle"].to_dataset()
+    assert found["limit_depth"].dims == ("width_of_cut", "spindle_speed")
+    assert found["width_of_cut"].values.tolist() == [2.0, 9.0, 16.0]
+    table, rows = pd.read_csv(tmp_path / "t.csv"), pd.read_csv(tmp_path / "w.csv")
+    for width in (2.0, 9.0, 16.0):
+        own = table[table["width_of_cut_mm"] == width]
+        at = found.sel(width_of_cut=width)
+        np.testing.assert_allclose(at["limit_depth"], own["limit_depth_mm"].fillna(np.inf), rtol=1e-8)
+        rate = width * at["limit_depth"] * at["feed"] / 1e3
+        np.testing.assert_allclose(at["removal_rate"], rate, rtol=1e-9)
+        assert len(rows[rows["width_of_cut_mm"] == width]) == 9
+    assert found["limit_depth"].sel(width_of_cut=16.0).max() < found["limit_depth"].sel(width_of_cut=2.0).max()
+
+
+@pytest.mark.parametrize(
+    ("given", "widths"),
+    [
+        ('["2 mm", "8 mm"]', [2.0, 8.0]),
+        ('["2 mm", "4 mm", "8 mm"]', [2.0, 4.0, 8.0]),
+        ('["2 mm", "8 mm", "3 mm"]', [2.0, 5.0, 8.0]),
+        ('["2 mm", "8 mm", "2 mm"]', [2.0, 4.0, 6.0, 8.0]),
+        ('["8 mm", "2 mm", "4 mm"]', [2.0, 4.0, 8.0]),
+    ],
+)
+def test_widths_are_named_or_a_range(tmp_path, given, widths):
+    loaded = campaign(tmp_path)
+    loaded.path.write_text(loaded.path.read_text().replace('width_of_cut = "4 mm"', f"width_of_cut = {given}"))
+    asked = [round(1e3 * r.width_of_cut, 9) for r in load_campaign(loaded.path).lobes]
+    assert asked == widths
+
+
+def test_a_step_that_divides_nothing_is_refused(tmp_path):
+    loaded = campaign(tmp_path)
+    for given in ('["2 mm", "8 mm", "7 mm"]', '["2 mm", "8 mm", "0.01 mm"]'):
+        loaded.path.write_text(loaded.path.read_text().replace('width_of_cut = "4 mm"', f"width_of_cut = {given}"))
+        with pytest.raises(InputError, match="does not divide 2 mm to 8 mm"):
+            load_campaign(loaded.path)
+        loaded = campaign(tmp_path)
