@@ -98,12 +98,7 @@ def _of_machine(
     material: CuttingCoefficients | Mapping[str, Any],
     request: Mapping[str, Any],
 ) -> Campaign:
-    """Return a campaign that asks for the operating points of a machine."""
-    if request["method"] != "operating_point":
-        raise InputError(
-            f"method: a machine has a compliance for each feed, and {request['method']} takes one; give "
-            'method="operating_point", or a compliance, machine.at(feed).compliance(frequencies)'
-        )
+    """Return a campaign that asks for the lobes of a machine in motion."""
     # The tables of a file are checked with a mode in its place.
     place = ModalModel(np.ones(1), np.full(1, 0.5), np.ones(1), np.eye(1, 3))
     campaign, _ = asked({MACHINE: place}, tool, material, request)

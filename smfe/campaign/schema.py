@@ -16,7 +16,15 @@ from process.drive.servo import Servo
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from smfe.campaign import quantities as q
-from smfe.campaign.machine import FrictionTable, MachineTable, ModeTable, OpenMachineTable, ServoTable, modal_model
+from smfe.campaign.machine import (
+    MACHINE,
+    FrictionTable,
+    MachineTable,
+    ModeTable,
+    OpenMachineTable,
+    ServoTable,
+    modal_model,
+)
 from smfe.campaign.methods import AVERAGES, METHODS, SENSORS, SWEEP_ESTIMATORS
 from smfe.campaign.tables import (
     Delay,
@@ -433,10 +441,11 @@ class LobesTable(Table):
     @model_validator(mode="after")
     def _of_one_condition(self) -> LobesTable:
         for key in ("feed", "controller", "position"):
-            if getattr(self, key) is not None and self.method != "operating_point":
+            moving = self.method == "operating_point" or MACHINE in self.measurements
+            if getattr(self, key) is not None and not moving:
                 raise InputError(
-                    f'gives a {key}, which method = "operating_point" alone asks for; another method takes a '
-                    "measurement as it was made: leave it out, and name the measurement"
+                    f'gives a {key}, which method = "operating_point" and the machine of [machine] ask for; another '
+                    "method takes a measurement as it was made: leave it out, and name the measurement"
                 )
         return self
 

@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from process import units
 from process.errors import InputError
 from process.labels import UNITS
 from process.machine.machine import Machine
@@ -25,6 +24,7 @@ from smfe.limits.cut_conditions import FIXED, Source, in_motion, kind_of, source
 from smfe.limits.cut_maps import REACH, maps_over, reach_over
 from smfe.limits.cut_maps import packed as packed_maps
 from smfe.limits.depth_bands import bands_over, packed
+from smfe.limits.machine_lobes import machine_limits, place_of
 from smfe.limits.operating_conditions import over_conditions
 from smfe.limits.source_modes import asked_cut, fitted_modes
 from smfe.progress import Progress, step
@@ -48,6 +48,12 @@ WORN = (
     "and no safe depth. Those of the same [[lobes]] without process_damping hold for a sharp edge"
 )
 """Said of limits with a worn flank."""
+
+KICKED_BAND = (
+    "the band is that of the operating points of the machine, scaled to these limits; its safe depth is that of "
+    'method = "operating_point", below which no kick makes the cut chatter'
+)
+"""Said of the band of a machine in motion."""
 
 _CURVES = {
     "spindle_speed": "spindle_speed_rpm",
@@ -131,7 +137,7 @@ def all_lobes(
         source, names, said = of.label, of.names, request.name.replace("_", " ")
         progress(f"{said}: {source}", done, len(jobs))
         with attempt(failures, LOBES, f"{request.name}, {source}"):
-            if not is_machine(campaign, request, names):
+            if not is_machine(campaign, names):
                 check_sources(names, compliances, failures)
             speeds = _about(request.spindle_speed, campaign.spindle.accuracy) if request.listed else None
             whole = request if speeds is None else replace(request, spindle_speed=speeds)
@@ -161,10 +167,16 @@ def _limits(
     limits = limits_of(campaign, whole, names, compliances)
     if request.method == "operating_point":
         return limits
-    limits = _banded(campaign, whole, names[0], compliances[names[0]], limits)
+    machine = campaign.machine_model if is_machine(campaign, names) else None
+    compliance = None if machine is not None else compliances[names[0]]
+    if compliance is None:
+        limits = _machine_band(campaign, whole, limits)
+    else:
+        limits = _banded(campaign, whole, names[0], compliance, limits)
     limited = request.deflection is not None or request.surface_error is not None
     if limited or request.bands_up_to is not None or request.maps_up_to is not None:
-        asked = asked_cut(campaign, request, names[0], compliances[names[0]])
+        at = replace(request, controller=whole.controller, position=whole.position)
+        asked = asked_cut(campaign, at, names[0], compliance)
         if limited or request.maps_up_to is not None:
             limits = _saying(limits, [n.replace("the limits are those", "the vibration is that") for n in asked.notes])
         if limited:
@@ -175,7 +187,7 @@ def _limits(
         if request.bands_up_to is not None:
             bands, notes = bands_over(asked, request.spindle_speed, request.bands_up_to, progress)
             limits = _saying(limits.assign(packed(bands)), notes)
-    return _with_curves(campaign, request, compliances[names[0]], limits)
+    return limits if compliance is None else _with_curves(campaign, request, compliance, limits)
 
 
 def _bare(campaign: Campaign, names: Sequence[str]) -> Campaign:
@@ -192,10 +204,9 @@ def _bare(campaign: Campaign, names: Sequence[str]) -> Campaign:
     )
 
 
-def is_machine(campaign: Campaign, request: LobeRequest, names: Sequence[str]) -> bool:
-    """Return whether a source is the machine of ``[machine]`` at the operating point of each cut."""
-    whole = request.method == "operating_point" and isinstance(campaign.machine_model, Machine)
-    return whole and tuple(names) == (MACHINE,)
+def is_machine(campaign: Campaign, names: Sequence[str]) -> bool:
+    """Return whether a source is the machine of ``[machine]``, of which each cut has a compliance of its own."""
+    return isinstance(campaign.machine_model, Machine) and tuple(names) == (MACHINE,)
 
 
 def _about(speeds: Real, accuracy: float) -> Real:
@@ -209,11 +220,6 @@ def check_sources(names: Sequence[str], compliances: Mapping[str, xr.Dataset], f
     for name in names:
         if name in failed:
             raise InputError(f"measurement '{name}' failed; its own reason says what to do")
-        if name == MACHINE and name not in compliances:
-            raise InputError(
-                "the machine of [machine] has axes, joints or postures, and a compliance for each feed, controller and "
-                'position; its lobes are those of method = "operating_point". Else name measurements made in motion'
-            )
         if name not in compliances:
             raise InputError(f"'{name}' is asked for, and the compliances do not hold it: {', '.join(compliances)}")
 
@@ -238,21 +244,11 @@ def limits_of(
     assert campaign.coefficients is not None
     tool, work, speeds = campaign.tool, campaign.coefficients, request.spindle_speed
     arc = request.arc(tool.diameter)
-    if is_machine(campaign, request, names):
+    if is_machine(campaign, names):
         assert isinstance(campaign.machine_model, Machine)
-        return operating_point(
-            campaign.machine_model,
-            tool,
-            arc,
-            work,
-            speeds,
-            request.feed_per_tooth,
-            feed=request.feed,
-            feed_direction=request.feed_direction,
-            controller=request.controller,
-            position=None if request.position is None else _place(request.position),
-            uncertainty=campaign.machine_spread and {**campaign.machine_spread, **_known_within(campaign)},
-        )
+        if request.method == "operating_point":
+            return _at_operating_points(campaign, campaign.machine_model, request)
+        return machine_limits(campaign.machine_model, request, tool, arc, work)
     if request.method == "operating_point":
         together, notes = over_conditions(campaign, {n: compliances[n] for n in names}, request.feed_direction)
         cut = (tool, arc, work, speeds, request.feed_per_tooth)
@@ -276,18 +272,27 @@ def limits_of(
     return _saying(found, notes)
 
 
+def _at_operating_points(campaign: Campaign, machine: Machine, request: LobeRequest) -> xr.Dataset:
+    """Return the limits of the machine of a campaign with the friction of vibrations of each size."""
+    assert campaign.tool is not None
+    assert campaign.coefficients is not None
+    return operating_point(
+        machine,
+        campaign.tool,
+        request.arc(campaign.tool.diameter),
+        campaign.coefficients,
+        request.spindle_speed,
+        request.feed_per_tooth,
+        feed=request.feed,
+        feed_direction=request.feed_direction,
+        controller=request.controller,
+        position=place_of(request.position),
+        uncertainty=campaign.machine_spread and {**campaign.machine_spread, **_known_within(campaign)},
+    )
+
+
 def _known_within(campaign: Campaign) -> dict[str, float]:
     return {"coefficients": campaign.coefficients_known_within}
-
-
-def _place(text: str) -> float:
-    """Return the position [m] of an axis."""
-    try:
-        return units.parse(text, "length")
-    except InputError as error:
-        raise InputError(
-            f'position {text!r} of [[lobes]]: the machine takes a length, e.g. "300 mm" ({error})'
-        ) from error
 
 
 def _saying(limits: xr.Dataset, notes: Sequence[str]) -> xr.Dataset:
@@ -341,6 +346,19 @@ def _banded(
     band = sampled_band(of, campaign.tool, arc, campaign.coefficients, request.spindle_speed, spread)
     notes = [*limits.attrs.get("warnings", ()), *band.attrs.get("warnings", ())]
     return with_band(limits, band).assign_attrs(warnings=list(dict.fromkeys(notes)))
+
+
+def _machine_band(campaign: Campaign, request: LobeRequest, limits: xr.Dataset) -> xr.Dataset:
+    """Add the band of a machine in motion where its uncertainty is stated: that of its operating points, scaled."""
+    if request.process_damping.coefficient > 0.0:
+        return _saying(limits, [WORN])
+    if campaign.machine_spread is None:
+        return limits
+    assert isinstance(campaign.machine_model, Machine)
+    band = _at_operating_points(campaign, campaign.machine_model, request)
+    if "limit_depth_quantile" not in band:
+        return limits
+    return _saying(with_band(limits, band), [KICKED_BAND])
 
 
 def _with_curves(campaign: Campaign, request: LobeRequest, compliance: xr.Dataset, limits: xr.Dataset) -> xr.Dataset:

@@ -73,9 +73,10 @@ def sources_of(campaign: Campaign, request: LobeRequest) -> list[Source]:
     """
     at = {m.name: m for m in campaign.measurements}
     conditions = {name: tuple(stated(at[name], key) for key in FIXED) for name in request.measurements if name in at}
-    if request.method != "operating_point":
-        return [Source((n,), n, *conditions.get(n, ())) for n in request.measurements]
     own = _machine_sources(campaign, request)
+    if request.method != "operating_point":
+        others = [n for n in request.measurements if not own or n != MACHINE]
+        return [*own, *(Source((n,), n, *conditions.get(n, ())) for n in others)]
     names = [n for n in request.measurements if not own or n != MACHINE]
     asked = (request.controller, request.position)
     conditions = {

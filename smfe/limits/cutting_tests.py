@@ -314,11 +314,11 @@ def predictions(
                 row[f"predicted_{source}"] = NOT_COMPARED
                 row["not_compared"] = "; ".join(filter(None, [row["not_compared"], f"{source}: {reason}"]))
                 continue
-            missing = not set(names) <= set(compliances) and not is_machine(campaign, here, names)
+            missing = not set(names) <= set(compliances) and not is_machine(campaign, names)
             if known is not None and missing:
                 continue  # said by the lobes of this source
             with attempt(failures, PREDICTION, f"{source}\n{test.file.name}"):
-                if not is_machine(campaign, here, names):
+                if not is_machine(campaign, names):
                     check_sources(names, compliances, known)
                 at = replace(here, controller=of.controller, position=of.position)
                 found = limits_of(campaign, at, names, compliances)

@@ -16,10 +16,12 @@ from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.labels import at_tool
+from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from smfe.campaign import Campaign, LobeRequest
 from smfe.campaign.machine import MACHINE
 from smfe.limits.cut_conditions import turned, turned_modes
+from smfe.limits.machine_lobes import FedMachine, fed
 from smfe.modes.fit_modes import fit_modes, model_error
 
 
@@ -35,7 +37,7 @@ class AskedCut:
         Measurement or model.
     tool, arc, coefficients
         The cut.
-    modes : ModalModel
+    modes : ModalModel or FedMachine
         Of the source, x along the feed.
     notes : tuple of str
         What must be known of the modes.
@@ -46,7 +48,7 @@ class AskedCut:
     tool: Tool
     arc: AnyEngagement
     coefficients: CuttingCoefficients
-    modes: ModalModel
+    modes: ModalModel | FedMachine
     notes: tuple[str, ...] = ()
 
 
@@ -65,7 +67,7 @@ def request_of(campaign: Campaign, lobes: str | None = None, source: str | None 
     Raises
     ------
     InputError
-        When there is none of that name, or the source has no modes of its own.
+        When there is none of that name.
     """
     if not campaign.lobes:
         raise InputError(f"{campaign.path.name}: it asks for no lobes; add a [[lobes]] table, which says the cut")
@@ -77,11 +79,6 @@ def request_of(campaign: Campaign, lobes: str | None = None, source: str | None 
         raise InputError(f"no [[lobes]] asked about names '{source}'; the measurements there are {_listed(every)}")
     request = next(r for r in found if source is None or source in r.measurements)
     name = source or request.measurements[0]
-    if name == MACHINE and not any(m.name == MACHINE for m in campaign.models):
-        raise InputError(
-            "the machine of [machine] has axes, joints or postures, and modes that change with feed and controller; "
-            "name a [[model]] or a measurement as the source"
-        )
     return request, name
 
 
@@ -100,14 +97,22 @@ def asked_cut(campaign: Campaign, request: LobeRequest, source: str, compliance:
     Raises
     ------
     InputError
-        When no modes can be fitted to the compliance.
+        When no modes can be fitted to the compliance, or the source is a machine in motion and no feed is given.
     """
     assert campaign.tool is not None
     assert campaign.coefficients is not None
     arc = request.arc(campaign.tool.diameter)
     declared = next((m.modal for m in campaign.models if m.name == source), None)
     notes: Sequence[str] = ()
-    if declared is not None:
+    modes: ModalModel | FedMachine
+    if source == MACHINE and isinstance(campaign.machine_model, Machine):
+        if request.feed is None:
+            raise InputError(
+                "the machine of [machine] has other modes at each feed, and the feed follows the spindle speed; say "
+                'one feed in [[lobes]], e.g. feed = "500 mm/min", or name a [[model]] or a measurement'
+            )
+        modes = fed(campaign.machine_model, request, request.feed)
+    elif declared is not None:
         modes = turned_modes(declared, request.feed_direction)
     elif compliance is None:
         raise InputError(f"'{source}' is asked for, and its compliance is not known")

@@ -13,6 +13,7 @@ import xarray as xr
 from process.errors import InputError
 from process.units import si
 from smfe.campaign import Campaign, load_campaign
+from smfe.campaign.machine import MACHINE
 from smfe.commands.identify import identify_all
 from smfe.identification.compliances import labelled
 from smfe.identification.levels import with_levels
@@ -108,7 +109,7 @@ def cut_of(
 ) -> AskedCut:
     """Return the cut that is asked about with the modes of its source, which is identified where it was measured."""
     request, name = request_of(campaign, lobes, measurement)
-    if any(m.name == name for m in campaign.models):
+    if name == MACHINE or any(m.name == name for m in campaign.models):
         return asked_cut(campaign, request, name, None)
     return asked_cut(campaign, request, name, _compliance(campaign, name, frf, kept, progress))
 
