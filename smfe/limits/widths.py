@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -55,7 +56,7 @@ def over_widths(results: Sequence[LobeResult]) -> dict[str, xr.Dataset]:
         }
         coords = {"width_of_cut": ("width_of_cut", widths, {"units": "mm"}), "spindle_speed": speeds}
         deepest = own[0].asked.maximum_depth
-        attrs = {"method": own[0].asked.method, "cut": own[0].asked.cut}
+        attrs: dict[str, Any] = {"method": own[0].asked.method, "cut": own[0].asked.cut}
         if deepest is not None:
             attrs["maximum_depth_mm"] = 1e3 * deepest
         one = xr.Dataset(data, coords, attrs)

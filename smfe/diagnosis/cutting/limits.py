@@ -16,7 +16,7 @@ from functools import partial
 
 import numpy as np
 
-from process.cut.engagement import AnyEngagement, Engagement
+from process.cut.engagement import AnyEngagement
 from process.cut.force import CuttingCoefficients, ProcessDamping
 from process.cut.tool import Tool
 from process.errors import InputError
@@ -170,7 +170,7 @@ class CuttingLimits(Abilities):
 
     machine: ModalModel  # as identified at rest, or in motion
     tool: Tool  # diameter, teeth, approach angle
-    arc: Engagement  # of all limits that have none of their own
+    arc: AnyEngagement  # of all limits that have none of their own
     coefficients: CuttingCoefficients  # as given
     conditions: tuple[Condition, ...]  # measured limits
     proposals: tuple[Condition, ...] = ()  # limits that could be looked for
@@ -393,7 +393,7 @@ def limit_family(
     limits: Sequence[Limit],
     machine: ModalModel,
     tool: Tool,
-    arc: Engagement,
+    arc: AnyEngagement,
     coefficients: CuttingCoefficients,
     proposals: Sequence[Limit] | None = None,
     spread: Spread | None = None,

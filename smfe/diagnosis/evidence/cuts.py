@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from process.cut.engagement import Engagement
+from process.cut.engagement import AnyEngagement
 from process.cut.force import NO_DAMPING, CuttingCoefficients
 from process.cut.tool import Tool
 from process.errors import InputError
@@ -39,7 +39,7 @@ class CutAtAxis:
     """A limit, where it was cut."""
 
     known: KnownLimit
-    arc: Engagement
+    arc: AnyEngagement
     controller: str
 
     @property

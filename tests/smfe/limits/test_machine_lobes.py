@@ -134,12 +134,13 @@ def test_the_band_of_a_machine_whose_uncertainty_is_stated_is_that_of_its_operat
 
 
 def test_a_long_dead_time_of_a_fast_mode_is_said():
-    modes = [{"frequency": "700 Hz", "damping": 0.02, "stiffness": "50 N/um", "direction": [1, 0, 0]}]
-    asked = {"method": "zero_order", "controller": "K2", "feed": "800 mm/min"}
-    (found,) = all_lobes(campaign("1.5 ms", {"modes": modes}, **asked), {}, silent)
-    notes = smfe.results.unpack_warnings(found.lobes)
-    assert any("is long for the mode" in w for w in notes), notes
-    assert math.isfinite(float(found.lobes["limit_depth"][0]))
+    servo = Servo(*slot.GAINS["K2"], 1.5e-3)
+    stiff = Machine.of_axis(Drive(slot.CARRIAGE, 1.0, 2e7, 200.0, servo), Andersson(*slot.FRICTION))
+    given = {"cut": "down", "width_of_cut": "50.8 mm", "spindle_speed": (1000, 2000, 500), "feed_per_tooth": "0.2 mm"}
+    with pytest.warns(smfe.SmfeWarning) as said:
+        found = smfe.lobes(stiff, TOOL, WORK, **given, method="zero_order", feed="800 mm/min")
+    assert any("is long for the mode at 7" in str(w.message) for w in said), [str(w.message) for w in said]
+    assert math.isfinite(float(found["limit_depth"][0]))
 
 
 def test_a_feed_of_a_measurement_is_refused():
