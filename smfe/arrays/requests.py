@@ -38,7 +38,7 @@ _TABLES = ("spindle", "machine")
 USUAL = {"method": "zero_order", "feed_per_tooth": "0.1 mm"}
 """What is asked for where nothing is said: the feed per tooth sets feed and removal rate, not the limit."""
 
-_NEEDED = ("tool", "material", "cut", "spindle_speed")
+_NEEDED = ("tool", "material", "cut")
 
 
 def asked(
@@ -66,7 +66,7 @@ def asked(
     """
     given = {"tool": tool, "material": material, **request}
     of_cut = OTHER_CUTS.get(str(given.get("cut")), ("width_of_cut",))
-    missing = [name for name in (*_NEEDED, *of_cut) if given.get(name) is None]
+    missing = [name for name in (*_NEEDED, *of_cut, "spindle_speed") if given.get(name) is None]
     if tool is None or material is None or missing:
         example = "tool, material, cut='down', width_of_cut='40 mm', spindle_speed=(600, 1500)"
         raise InputError(f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing; give {example}")
