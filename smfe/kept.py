@@ -20,7 +20,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from process.errors import InputError
 from smfe._version import __version__
+from smfe.patterns import matches
+from smfe.progress import warn
 
 KEPT = ".kept"
 """Folder, inside the results, of what a second run reads back."""
@@ -227,8 +230,10 @@ def campaign_of(folder: Path) -> Path | None:
 
 
 def _found(campaign: Path, pattern: str) -> list[str]:
-    root = "" if Path(pattern).is_absolute() else glob.escape(str(campaign.absolute().parent)) + "/"
-    return sorted(glob.glob(root + pattern, recursive=True))
+    try:
+        return list(map(str, matches(campaign.absolute().parent, pattern)))
+    except (InputError, ValueError):  # a text that is no pattern of files
+        return []
 
 
 def _texts(value: object) -> Iterator[str]:
@@ -244,17 +249,57 @@ def _texts(value: object) -> Iterator[str]:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """Return what a file of ours holds; a file that is not readable is as good as none."""
+    """Return what a file of ours holds; one that is damaged is as good as none, and that is said."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        if not isinstance(found, dict) or found.pop(_CHECKSUM, _sum(found)) != _sum(found):
+            raise ValueError("it is not as it was written")
+    except FileNotFoundError:
         return {}
-    return found if isinstance(found, dict) else {}
+    except (OSError, ValueError):
+        say_damaged(path)
+        return {}
+    return found
 
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:
     with aside(path) as temporary:
-        temporary.write_text(json.dumps(content), encoding="utf-8")
+        temporary.write_text(json.dumps({**content, _CHECKSUM: _sum(content)}), encoding="utf-8")
+
+
+# --- Checksums: what was kept is as it was kept, or is computed again ----------------------------------------------
+
+_CHECKSUM = "checksum"
+_SUM = b"\nsha256 "
+
+
+def _sum(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def seal(path: Path, content: bytes) -> None:
+    """Write a file with its checksum behind it."""
+    with aside(path) as temporary:
+        temporary.write_bytes(content + _SUM + hashlib.sha256(content).hexdigest().encode() + b"\n")
+
+
+def unsealed(path: Path) -> bytes:
+    """Return what `seal` wrote.
+
+    Raises
+    ------
+    ValueError
+        When the file is not as it was written.
+    """
+    content, _, known = path.read_bytes().rpartition(_SUM)
+    if hashlib.sha256(content).hexdigest().encode() + b"\n" != known:
+        raise ValueError("it is not as it was written")
+    return content
+
+
+def say_damaged(path: Path) -> None:
+    """Say that what was kept is computed again."""
+    warn([f"'{path}' is not as it was written (its checksum is wrong); what was kept in it is computed again"])
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -14,7 +15,7 @@ import pandas as pd
 import xarray as xr
 
 from process.errors import InputError
-from smfe.kept import aside
+from smfe.kept import aside, say_damaged, seal, unsealed
 from smfe.records.formats.hdf5 import walk
 from smfe.records.formats.reader import apart
 from smfe.staged import FULL
@@ -67,7 +68,34 @@ def read_groups(path: Path) -> dict[str, xr.Dataset]:
             loaded = tree.load()
     except (OSError, ValueError, KeyError, RuntimeError) as error:
         raise InputError(f"{path} is not a readable NetCDF-4 file of results ({error}); write it again") from error
-    nodes = {node.path.lstrip("/"): node.to_dataset() for node in loaded.subtree}
+    return _groups(loaded)
+
+
+def keep_groups(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
+    """Keep datasets for the next run, with a checksum."""
+    tree = xr.DataTree.from_dict({f"/{name}": dataset for name, dataset in groups.items()})
+    seal(path, bytes(tree.to_netcdf(engine="h5netcdf")))
+
+
+def kept_groups(path: Path) -> dict[str, xr.Dataset]:
+    """Read what `keep_groups` kept.
+
+    Raises
+    ------
+    InputError
+        When the file is not as it was written; that is said.
+    """
+    try:
+        content = unsealed(path)
+    except (OSError, ValueError) as error:
+        say_damaged(path)
+        raise InputError(f"{path}: {error}") from error
+    with xr.open_datatree(io.BytesIO(content), engine="h5netcdf") as tree:
+        return _groups(tree.load())
+
+
+def _groups(tree: xr.DataTree) -> dict[str, xr.Dataset]:
+    nodes = {node.path.lstrip("/"): node.to_dataset() for node in tree.subtree}
     return {name: dataset for name, dataset in nodes.items() if dataset.data_vars}
 
 

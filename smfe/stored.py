@@ -6,6 +6,7 @@ A part is one file: its structure as JSON and its arrays beside it. Nothing is e
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import zipfile
 from collections.abc import Callable, Mapping
@@ -17,7 +18,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from smfe.kept import aside
+from smfe.kept import say_damaged, seal, unsealed
 
 T = TypeVar("T")
 
@@ -51,6 +52,7 @@ class Store:
                 found: T = _read(path, self.classes)
                 return found
             except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+                say_damaged(path)
                 path.unlink()
         made = make()
         _write(path, made)
@@ -100,12 +102,13 @@ def _add(whole: hashlib._Hash, value: object) -> None:
 def _write(path: Path, value: object) -> None:
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     text = json.dumps(_coded(value, arrays))
-    with aside(path) as temporary, temporary.open("wb") as stream:
-        np.savez(stream, structure=np.array(text), **arrays)  # type: ignore[arg-type]
+    stream = io.BytesIO()
+    np.savez(stream, structure=np.array(text), **arrays)  # type: ignore[arg-type]
+    seal(path, stream.getvalue())
 
 
 def _read(path: Path, classes: Mapping[str, type]) -> Any:
-    with np.load(path, allow_pickle=False) as file:
+    with np.load(io.BytesIO(unsealed(path)), allow_pickle=False) as file:
         return _value(json.loads(str(file["structure"])), file, classes)
 
 

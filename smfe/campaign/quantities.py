@@ -20,6 +20,7 @@ from process.errors import InputError
 from process.labels import AXES, place_text
 from process.units import FASTEST_FEED
 from smfe.campaign import datasets
+from smfe.patterns import matches
 from smfe.records.formats.channels import did_you_mean, listed
 from smfe.records.read import FORMATS
 from stability.methods.catalogue import METHODS as STABILITY_METHODS
@@ -376,7 +377,7 @@ Ramp = Annotated[tuple[float, float], BeforeValidator(_ramp)]
 
 def _files(value: Any, info: ValidationInfo) -> tuple[Path, ...]:
     """A name, a pattern or ``dataset:NAME/FILE`` -> files, sorted. The context holds `path`, `show`, perhaps `held`."""
-    if not isinstance(value, str) or not value:
+    if not isinstance(value, str) or not value or "\0" in value:
         raise InputError(f"{value!r} is not the name of a file")
     context: dict[str, Any] = info.context or {}
     if value in context.get("held", ()):
@@ -405,9 +406,7 @@ def _matches(folder: Path, pattern: str) -> list[Path]:
         why = "a backslash in double quotes begins an escape" if escaped else "a backslash parts no folders here"
         raise InputError(f'no file {pattern!r} in {folder}: {why}; write "{meant}"')
     if glob.has_magic(pattern):
-        root = "" if Path(pattern).is_absolute() else glob.escape(str(folder)) + "/"
-        found = sorted(Path(name) for name in glob.glob(root + pattern, recursive=True))
-        files = [path for path in found if path.is_file()]
+        files = [path for path in matches(folder, pattern) if path.is_file()]
         if files:
             return files
     there = sorted(path.name for path in exact.parent.iterdir() if path.is_file()) if exact.parent.is_dir() else []
@@ -461,11 +460,18 @@ def _sign(value: Any) -> float:
 Sign = Annotated[float, BeforeValidator(_sign)]
 
 
+LONGEST_NAME = 150
+"""Bytes of a name: file systems take 255, and more stands before and behind it."""
+
+
 def _name(value: Any) -> str:
-    if not isinstance(value, str) or not value.strip() or "/" in value or not value.isprintable():
+    named = isinstance(value, str) and value.strip(". ") and value.isprintable()
+    if not isinstance(value, str) or not named or "/" in value or "\\" in value:
         raise InputError(
             f"{value!r} is no name; one line of text without '/' is needed, since results are stored under it"
         )
+    if len(value.encode()) > LONGEST_NAME:
+        raise InputError(f"'{value[:40]}...' has {len(value)} characters; files are called after it, shorten it")
     return value
 
 

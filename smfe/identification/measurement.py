@@ -6,6 +6,7 @@ where the first stopped.
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import io
 import json
@@ -42,7 +43,7 @@ from smfe.kept import file_hash
 from smfe.progress import Progress, silent
 from smfe.records import put_on_clock, put_on_time, read_records, read_reduced, reduced
 from smfe.records.dynamometer import compensate
-from smfe.results import MEASUREMENT, Failures, attempt, pack_warnings, read_groups, unpack_warnings, write_groups
+from smfe.results import MEASUREMENT, Failures, attempt, keep_groups, kept_groups, pack_warnings, unpack_warnings
 
 FORM = 7
 """Raised where an estimator, or what it writes, changes within a version: what was kept is then not read back."""
@@ -243,14 +244,13 @@ def _by_level(campaign: Campaign, m: Measurement, folder: Path | None) -> xr.Dat
     path = None if folder is None else folder / f"{m.name}, by level-{_key(campaign, m)}.nc"
     if path is not None and path.is_file():
         try:
-            return read_groups(path)["by_level"]
+            return kept_groups(path)["by_level"]
         except (InputError, KeyError):
             path.unlink()
     found = hammer_levels(m.name, _records_by_axis(m), **hammer_settings(m)).compliance
     if path is not None and folder is not None:
-        for old in folder.glob(f"{m.name}, by level-????????????????.nc"):
-            old.unlink()
-        write_groups(path, {"by_level": found})
+        _forget(folder, f"{m.name}, by level")
+        keep_groups(path, {"by_level": found})
     return found
 
 
@@ -416,12 +416,17 @@ def cached_identification(
         except InputError:
             path.unlink()
     found = identify_measurement(campaign, measurement, progress)
-    for old in folder.glob(f"{measurement.name}-????????????????.nc"):
-        old.unlink()
+    _forget(folder, measurement.name)
     tables = {name: frame.to_csv(index=False) for name, frame in found.tables.items()}
     dataset = pack_warnings(found.compliance, found.warnings).assign_attrs(tables=json.dumps(tables))
-    write_groups(path, {"identification": dataset, **{f"blows_{a}": hits for a, hits in found.hits.items()}})
+    keep_groups(path, {"identification": dataset, **{f"blows_{a}": hits for a, hits in found.hits.items()}})
     return found, False
+
+
+def _forget(folder: Path, name: str) -> None:
+    """Delete what was kept of a measurement, whatever its name is to a pattern."""
+    for old in folder.glob(f"{glob.escape(name)}-{'[0-9a-f]' * 16}.nc"):
+        old.unlink()
 
 
 def _key(campaign: Campaign, measurement: Measurement) -> str:
@@ -433,7 +438,7 @@ def _key(campaign: Campaign, measurement: Measurement) -> str:
 
 
 def _load(path: Path, measurement: Measurement) -> Identification:
-    groups = read_groups(path)
+    groups = kept_groups(path)
     dataset = groups["identification"]
     tables: Mapping[str, str] = json.loads(dataset.attrs.pop("tables"))
     frames = {

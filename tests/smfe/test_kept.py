@@ -8,6 +8,7 @@ import pytest
 
 from smfe import kept
 from smfe.kept import KEPT, Parts, file_hash, inputs_of, is_unchanged, key_of, read_hashes, write_record
+from smfe.progress import SmfeWarning
 from smfe.staged import together
 
 CAMPAIGN = '[[measurement]]\nrecords = [ { file = "hit_*.csv" }, { file = "cut.csv" } ]\n'
@@ -103,6 +104,16 @@ def test_a_record_is_read_for_its_hash_only_where_size_or_time_differ(
     assert file_hash(record) == known
 
 
+def test_a_part_that_was_changed_behind_our_back_is_made_again(tmp_path: Path) -> None:
+    """One digit of a number in a file of JSON: no reader of JSON can tell, the checksum can."""
+    assert Parts(tmp_path, "check").get("hammer", "a", lambda: [12.5]) == [12.5]
+    path = tmp_path / "check.json"
+    path.write_text(path.read_text().replace("12.5", "13.5"))
+    with pytest.warns(SmfeWarning, match=r"check\.json' is not as it was written \(its checksum is wrong\)"):
+        parts = Parts(tmp_path, "check")
+    assert parts.get("hammer", "a", lambda: [12.5]) == [12.5]
+
+
 def test_a_part_is_made_again_when_its_key_is_another(tmp_path: Path) -> None:
     made: list[int] = []
 
@@ -119,6 +130,6 @@ def test_a_part_is_made_again_when_its_key_is_another(tmp_path: Path) -> None:
     assert ask("a", "a", "b", "b") == [[0], [0], [0, 1], [0, 1]]
     assert ask("b") == [[0, 1]]
     assert ask() == []
-    assert json.loads((tmp_path / "check.json").read_text()) == {}
+    assert list(json.loads((tmp_path / "check.json").read_text())) == ["checksum"]
     assert Parts(None, "check").get("hammer", "b", make) == [0, 1, 2]
     assert key_of(1, "a") == key_of(1, "a") != key_of(1, "b")

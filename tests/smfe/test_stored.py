@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 
+from smfe.progress import SmfeWarning
 from smfe.stored import Store, digest
 
 
@@ -62,10 +63,13 @@ def test_what_is_not_asked_for_goes_and_what_is_damaged_is_made_again(tmp_path: 
     store = Store(tmp_path, "limits")
     for key in ("a", "b"):
         store.get(key, lambda: 1)
-    (tmp_path / "limits-b.npz").write_bytes(b"PK damaged")
+    stored = (tmp_path / "limits-b.npz").read_bytes()
     (tmp_path / "cuts-c.npz").write_bytes(b"of another kind")
-    second = Store(tmp_path, "limits")
-    assert second.get("b", lambda: 2) == 2
+    for damaged in (b"PK damaged", b"", stored[:-1], stored[:40] + bytes([stored[40] ^ 1]) + stored[41:]):
+        (tmp_path / "limits-b.npz").write_bytes(damaged)
+        second = Store(tmp_path, "limits")
+        with pytest.warns(SmfeWarning, match=r"limits-b\.npz' is not as it was written"):
+            assert second.get("b", lambda: 2) == 2
     second.forget_others()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cuts-c.npz", "limits-b.npz"]
     assert Store(None, "limits").get("b", lambda: 3) == 3

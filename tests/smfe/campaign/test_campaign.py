@@ -491,6 +491,11 @@ ONE_FAULT = [
     ),
     ('"paper_bench_idle"', '"hammer_idle_K2"', "model[0].name: 'hammer_idle_K2' is already the name of measurement[0]"),
     ('"sweep_2mm_K2"', '"a/b"', "measurement[1].name: 'a/b' is no name; one line of text without '/'"),
+    *(
+        ('"sweep_2mm_K2"', f'"{name}"', "measurement[1].name: ")
+        for name in ("a\\\\b", ".", "..", " . ", "a\\u0000b", "a\\u001b[2Jb", "a\\u202eb", "")
+    ),
+    ('"sweep_2mm_K2"', f'"{200 * "a"}"', "measurement[1].name: 'aaaa"),
     ('"sweep_2mm_K2"', '"a\\tb"', "measurement[1].name: 'a\\tb' is no name; one line of text without '/'"),
     (
         '"hammer"',
