@@ -16,6 +16,7 @@ from smfe.arrays.compliances import Compliance, compliances_of
 from smfe.campaign import Model
 from smfe.comparison.compare import compare as compare_compliances
 from smfe.comparison.explained import explain
+from smfe.comparison.peaks import Peaks, all_peaks
 from smfe.identification.errors.result import Identification
 from smfe.results import (
     read_groups,
@@ -54,10 +55,11 @@ def compare(
     """
     given = read_groups(Path(frf)) if isinstance(frf, Path | str) else compliances_of(frf)
     groups = single_levels({n: d for n, d in given.items() if d.attrs.get("method") != "model"})
-    table = compare_compliances(groups)
+    peaks = all_peaks(groups)
+    table = compare_compliances(groups, peaks=peaks)
     if output is not None:
         write_csv(Path(output), table)
-        write_csv(Path(output).with_name("explained.csv"), explain(groups))
+        write_csv(Path(output).with_name("explained.csv"), explain(groups, peaks))
     return table
 
 
@@ -66,10 +68,10 @@ def single_levels(compliances: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset
     return {name: dataset for name, dataset in compliances.items() if "levels" not in dataset.attrs}
 
 
-def compared(measured: Mapping[str, xr.Dataset]) -> pd.DataFrame:
+def compared(measured: Mapping[str, xr.Dataset], peaks: Peaks | None = None) -> pd.DataFrame:
     """Compare; without any measurement the table has its columns and no rows, as it has with a single one."""
     nothing = make_compliance([0.0], np.full((1, 1, 1), complex(math.nan)), AXES[:1], AXES[:1])
-    return compare_compliances(measured or {"": nothing})
+    return compare_compliances(measured, peaks=peaks) if measured else compare_compliances({"": nothing})
 
 
 def model_errors(found: Mapping[str, Identification], models: Sequence[Model]) -> pd.DataFrame:

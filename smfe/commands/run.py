@@ -30,6 +30,7 @@ from smfe.commands.diagnose import finding_of, write_finding
 from smfe.commands.identify import CONDITIONS, conditions_of, identify_all, left_out, with_warnings, write_conditions
 from smfe.commands.report import report_of
 from smfe.comparison.explained import explain
+from smfe.comparison.peaks import all_peaks
 from smfe.diagnosis.audit import audited
 from smfe.diagnosis.checks.suspect import as_rows as suspect_rows
 from smfe.identification.compliances import labelled
@@ -182,11 +183,12 @@ def _run(loaded: Campaign, folder: Path, notes: Notes, progress: Progress) -> Pa
     comparison, explained, errors = compared({}), explain({}), model_errors({}, ())
     with notes.timed("compare"):
         of["compare"]("comparing", 0, 1)
-        single = single_levels({n: compliances[n] for n in found})
+        single, peaks = single_levels({n: compliances[n] for n in found}), None
         with attempt(failures, "comparison"):
-            comparison = compared(single)
+            peaks = all_peaks(single)
+            comparison = compared(single, peaks)
         with attempt(failures, "comparison", "what feed, level and method explain"):
-            explained = explain(single)
+            explained = explain(single, peaks)
         with attempt(failures, "comparison", "with the models"):
             errors = model_errors(found, loaded.models)
     with notes.timed("lobes"):

@@ -22,7 +22,7 @@ from scipy import stats
 from process.errors import InputError
 from process.types import Complex, Real
 from smfe.comparison.explained import LEVEL, error_covariance, holm
-from smfe.comparison.peaks import TOLERANCE, Peak, PeakRules, entries, entry_peaks, matched
+from smfe.comparison.peaks import TOLERANCE, Peak, Peaks, all_peaks, matched
 
 _QUANTITIES: tuple[tuple[str, str, float], ...] = (
     ("frequency", "_Hz", 1.0),
@@ -30,6 +30,9 @@ _QUANTITIES: tuple[tuple[str, str, float], ...] = (
     ("amplitude", "_um_per_N", 1e6),
 )
 """Field of `Peak`, end of its column, factor."""
+
+MOST_PAIRED = 20
+"""Measurements of which every pair is compared; of more each is compared with the first alone."""
 
 _INTERVAL = 1.96
 """Standard deviations to either side of a 95 % interval."""
@@ -55,10 +58,10 @@ class CompareRules:
 def compare(
     identifications: Mapping[str, xr.Dataset],
     *,
-    peak_rules: PeakRules | None = None,
+    peaks: Peaks | None = None,
     rules: CompareRules | None = None,
 ) -> pd.DataFrame:
-    """Compare measurements pair by pair, entry by entry, peak by peak.
+    """Compare measurements pair by pair, entry by entry, peak by peak; of more than 20 each with the first.
 
     The difference of a quantity q is ``100 (q_b/q_a - 1)`` percent with the standard deviation ``100 (q_b/q_a)
     sqrt((s_a/q_a)^2 + (s_b/q_b)^2)`` (independent measurements). Peaks are matched by nearest frequency, one to one.
@@ -69,8 +72,8 @@ def compare(
     ----------
     identifications : mapping of str to xarray.Dataset
         Name -> compliance; in every pair the earlier one is a, the reference.
-    peak_rules : PeakRules, optional
-        What counts as a peak.
+    peaks : mapping, optional
+        Their peaks, from `all_peaks`; without them they are fitted.
     rules : CompareRules, optional
         When peaks are the same and when they differ.
 
@@ -94,19 +97,19 @@ def compare(
     rules = rules or CompareRules()
     if not identifications:
         raise InputError("there is no measurement to compare; give two or more compliances")
-    peaks = {
-        name: {entry: entry_peaks(dataset, *entry, peak_rules) for entry in entries(dataset)}
-        for name, dataset in identifications.items()
-    }
+    peaks = all_peaks(identifications) if peaks is None else peaks
     rows: list[dict[str, object]] = []
-    for a, b in combinations(identifications, 2):
+    first = next(iter(identifications))
+    few = len(identifications) <= MOST_PAIRED
+    pairs = combinations(identifications, 2) if few else ((first, b) for b in list(identifications)[1:])
+    for a, b in pairs:
         for entry in peaks[a]:
             if entry in peaks[b]:
                 curves = _curve(identifications[a], entry), _curve(identifications[b], entry)
                 head = {"measurement_a": a, "measurement_b": b, "response": entry[0], "excitation": entry[1]}
                 shared = _entry_figures(*curves)
-                pairs = _label(_match(peaks[a][entry], peaks[b][entry], rules.tolerance), *curves)
-                rows += [head | _row(one, other, match) | shared for one, other, match in pairs]
+                found = _label(_match(peaks[a][entry], peaks[b][entry], rules.tolerance), *curves)
+                rows += [head | _row(one, other, match) | shared for one, other, match in found]
     return _family(pd.DataFrame(rows, columns=_columns()), rules.level)
 
 

@@ -33,7 +33,7 @@ from scipy import stats
 
 from process.errors import InputError
 from process.types import Real
-from smfe.comparison.peaks import TOLERANCE, Peak, PeakRules, entries, entry_peaks, matched
+from smfe.comparison.peaks import TOLERANCE, Peak, Peaks, all_peaks, matched
 
 QUANTITIES = ("frequency", "damping", "amplitude")
 CONDITIONS = ("method", "controller", "feed", "level", "position", "added_mass", "temperature")
@@ -190,15 +190,15 @@ def conditions_of(compliance: xr.Dataset) -> dict[str, str]:
     return {name: conditions[name] for name in CONDITIONS if name in conditions}
 
 
-def explain(identifications: Mapping[str, xr.Dataset], peak_rules: PeakRules | None = None) -> pd.DataFrame:
+def explain(identifications: Mapping[str, xr.Dataset], peaks: Peaks | None = None) -> pd.DataFrame:
     """Return what each condition explains of the differences of each peak.
 
     Parameters
     ----------
     identifications : mapping of str to xarray.Dataset
         Measurement -> compliance with ``attrs["method"]`` and ``attrs["conditions"]``, a JSON object of texts.
-    peak_rules : PeakRules, optional
-        What counts as a peak.
+    peaks : mapping, optional
+        Their peaks, from `all_peaks`; without them they are fitted.
 
     Returns
     -------
@@ -211,10 +211,9 @@ def explain(identifications: Mapping[str, xr.Dataset], peak_rules: PeakRules | N
     """
     conditions = {name: conditions_of(dataset) for name, dataset in identifications.items()}
     rows: list[dict[str, object]] = []
-    pairs = dict.fromkeys(pair for dataset in identifications.values() for pair in entries(dataset))
-    for pair in pairs:
-        peaks = {n: entry_peaks(d, *pair, peak_rules) for n, d in identifications.items() if pair in entries(d)}
-        for track in tracks(peaks):
+    peaks = all_peaks(identifications) if peaks is None else peaks
+    for pair in dict.fromkeys(pair for found in peaks.values() for pair in found):
+        for track in tracks({name: found[pair] for name, found in peaks.items() if pair in found}):
             rows += _track_rows(pair, track, conditions)
     frame = pd.DataFrame(rows, columns=list(COLUMNS))
     if len(frame):

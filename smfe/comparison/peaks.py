@@ -12,7 +12,7 @@ with complex residues r and a complex straight line c for the modes outside the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -187,6 +187,18 @@ def entry_peaks(dataset: xr.Dataset, response: str, excitation: str, rules: Peak
         rules,
         float(dataset.attrs.get("error_lines", 1.0)),
     )
+
+
+Peaks = Mapping[str, Mapping[tuple[str, str], list[Peak]]]
+"""Measurement -> entry of its matrix (response, excitation) -> peaks."""
+
+
+def all_peaks(identifications: Mapping[str, xr.Dataset], rules: PeakRules | None = None) -> Peaks:
+    """Return the peaks of every entry of every measurement: a fit each, which whoever compares them shares."""
+    return {
+        name: {entry: entry_peaks(dataset, *entry, rules) for entry in entries(dataset)}
+        for name, dataset in identifications.items()
+    }
 
 
 def matched(one: Sequence[float], other: Sequence[float], tolerance: float) -> list[tuple[int, int]]:

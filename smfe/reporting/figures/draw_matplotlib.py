@@ -51,6 +51,9 @@ DPI = 150
 MOST_SPECTRA = 24
 """The picture of the spectra holds no more; the HTML file has all."""
 
+MOST_NAMES = 21
+"""Entries of a legend; of more the first and the last are named."""
+
 SPECTRUM_COLUMNS = 250
 """Points over the width of a small spectrum, each the largest amplitude of its column."""
 
@@ -170,6 +173,7 @@ def _new(width: float, height: float) -> Figure:
 
 def _legend(figure: Figure, entries: Sequence[tuple[Artist, str]], top: float) -> None:
     """Put the legend above the panels, where it hides nothing."""
+    entries = _named(entries)
     handles, names = [h for h, _ in entries], [literal(spoken(n)) for _, n in entries]
     columns = _columns(entries, figure.get_figwidth())
     figure.legend(
@@ -186,7 +190,16 @@ def _legend(figure: Figure, entries: Sequence[tuple[Artist, str]], top: float) -
 
 def _legend_height(entries: Sequence[tuple[Artist, str]], width: float = 7.5) -> float:
     """Return the height [inch] that `_legend` needs in a figure of a width [inch]."""
-    return 0.2 * -(-len(entries) // _columns(entries, width)) + 0.12
+    named = _named(entries)
+    return 0.2 * -(-len(named) // _columns(named, width)) + 0.12
+
+
+def _named(entries: Sequence[tuple[Artist, str]]) -> list[tuple[Artist, str]]:
+    """Return what the legend names: all, or of many the first and the last, which say what the marks are."""
+    more = len(entries) - MOST_NAMES
+    if more <= 0:
+        return list(entries)
+    return [*entries[: MOST_NAMES - 7], (Line2D([], [], linestyle="none"), f"and {more + 1} more"), *entries[-6:]]
 
 
 def _columns(entries: Sequence[tuple[Artist, str]], width: float) -> int:

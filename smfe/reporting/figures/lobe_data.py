@@ -86,7 +86,9 @@ class Diagram:
         """
         if self.single:
             return []
-        found = [(item.source, spoken(item.source), _last(item.values("limit_depth"), self.top)) for item in self.lobes]
+        # Of more lines than there is room for, the one that decides is named.
+        named = self.lobes if room * len(self.lobes) < 1.0 else [self.main]
+        found = [(item.source, spoken(item.source), _last(item.values("limit_depth"), self.top)) for item in named]
         if self.safe is not None:
             found.append((self.main.source, SAFE, _last(self.safe[1], self.top)))
         found.sort(key=lambda end: end[2])

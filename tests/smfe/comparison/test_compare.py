@@ -9,6 +9,7 @@ from process.errors import InputError
 from process.labels import make_compliance
 from process.machine.modes import ModalModel
 from smfe.comparison.compare import CompareRules, compare, response_assurance
+from smfe.comparison.peaks import all_peaks
 
 
 def bench(frequency: np.ndarray) -> np.ndarray:
@@ -123,6 +124,14 @@ def test_every_pair_and_shared_entry() -> None:
     pairs = table[["measurement_a", "measurement_b"]].drop_duplicates().to_numpy().tolist()
     assert pairs == [["a", "b"], ["a", "c"], ["b", "c"]]
     assert set(table[table["measurement_b"] == "c"]["response"]) == {"x"}
+
+
+def test_of_many_each_is_compared_with_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    many = {f"m{k}": measurement([24.0, 34.0], k, GRID) for k in range(4)}
+    monkeypatch.setattr("smfe.comparison.compare.MOST_PAIRED", 3)
+    table = compare(many, peaks=all_peaks(many))
+    pairs = table[["measurement_a", "measurement_b"]].drop_duplicates().to_numpy().tolist()
+    assert pairs == [["m0", "m1"], ["m0", "m2"], ["m0", "m3"]]
 
 
 def test_frac_is_blind_to_a_factor_and_the_difference_is_not() -> None:
