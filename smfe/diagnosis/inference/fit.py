@@ -115,7 +115,8 @@ def _least(r: Real, aim: Real) -> Real:
 def tolerance(target: Target, chi2: float) -> float:
     """Return by how much a misfit need not be known better."""
     values = sum(y.size for y in target.observed.values())
-    return max(RULES.tolerance, RULES.relative_tolerance * chi2, RULES.bad_tolerance * (chi2 - 2.0 * values))
+    bad = max(RULES.bad_tolerance * (chi2 - 2.0 * values), RULES.left_tolerance * (chi2 - values))
+    return max(RULES.tolerance, RULES.relative_tolerance * chi2, bad)
 
 
 @dataclass
@@ -281,8 +282,8 @@ def fit(
     The misfit is found to the share `loose` of it, or as well as a likelihood ratio needs it where that is more.
 
     All other causes stay where `start` has them, and where `only` some parameters are fitted all others. A fit that has
-    not converged, and may not be used, says why. One that stalls, and would not come below `most` with all that a
-    linear step promises, has lost and is followed no further.
+    not converged, and may not be used, says why. One that would not come below `most` with all that its steps promise
+    has lost and is followed no further.
     """
     chosen, state = tuple(sorted(causes)), _State.begin(model, target, causes, start, only)
     state.loose = loose
@@ -300,6 +301,8 @@ def fit(
         decrement = state.step(fresh)[1]
         if decrement < state.tolerance:
             return state.done(chosen, fresh)
+        if state.chi2 - RULES.hope * decrement > most:
+            return replace(state.done(chosen, fresh), provisional=True, promised=decrement)
         before = state.chi2
         if cycle != RULES.cycles:  # where so many plain steps did not end, a trust region takes them near the end
             state.descend(fresh)

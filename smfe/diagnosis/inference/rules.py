@@ -23,9 +23,12 @@ class InferenceRules:
     tolerance: float = 0.1  # decrease of chi-square that a converged fit may leave; thresholds are 100 times that
     relative_tolerance: float = 1e-7  # the same over the misfit, for data that no hypothesis describes
     bad_tolerance: float = 1e-3  # the same over what a bad model leaves beyond twice the noise
+    left_tolerance: float = 3e-4  # the same over what is left beyond the noise
     several: int = 8  # conditions from which a part of them is fitted first
     rough: float = 3.0  # decrease that may be promised where no part of the step brings any: a kink
     optimism: float = 3.0  # times a promised decrease that a fit may still come down
+    hope: float = 10.0
+    """The same that the first slopes of a fit promise: in the curved valleys of joints that slip six times was seen."""
     temperatures: tuple[float, ...] = (100.0, 10.0)  # by which priors outweigh data that are far off, one by one
     warm: float = 0.01  # share of the misfit to which it is found on the way there
     foretold: float = 0.3  # share of a step that its slopes may have missed to be kept, corrected
@@ -56,11 +59,15 @@ class InferenceRules:
     """Share of what a cause that explains most has explained, below which another is not fitted, to first order."""
     worth_a_pair: float = 0.6  # share of the threshold, to first order, from which a pair is fitted
     shapes: int = 2  # shapes of a cause from which it is fitted
+    pursued: int = 3  # times that the best fit is followed where it did not end
     close: float = 5.0  # chi-square below the threshold from which a cause is looked at
     far: float = 50.0  # chi-square behind the best from which a cause has lost
     part: float = 0.1  # of the way to what matters, from which a fit is followed
     astray: float = 3.0  # times the misfit of the baseline from which a start is no start
+    lost: float = 10.0  # the same of a thorough search, once the cause's own parameters are fitted
     halfway: float = 0.5  # share of the misfit below which a start is followed with its own slopes
+    enough: float = 0.75
+    """Share of what is more than noise from which on a fit from a linearisation needs no starts from elsewhere."""
     named_starts: int = 2  # starts of a cause that are followed
     little: float = 0.005  # share of the misfit that counts as explained besides noise
     changing: float = 1e-4  # p-value of a parameter that changes: slow noise, known least, looks most like it

@@ -82,6 +82,34 @@ def tangent(model: Model, target: Target, fit: Fit, causes: Sequence[int] | None
     return Tangent(fit, basis, residual, tuple(found), tuple(silent))
 
 
+def widened(model: Model, target: Target, fit: Fit, known: Tangent, row: int, causes: Sequence[int]) -> Tangent:
+    """Linearise a fit whose target has one condition more, `row`, than the one of which the tangent is `known`.
+
+    What the causes do to the conditions before is known: only in the new one slopes are taken, but of a cause that does
+    there what it does nowhere else.
+    """
+    slope, residual = stacked(model, target, fit.free, fit.u, fit.residual, fit.slope)
+    basis = orthonormal(slope[:, inside(model, fit)])
+    found: list[Signature] = []
+    for k in causes:
+        mine, own = model.of_cause[k], [s for s in known.signatures if s.cause == k]
+        more = [model.slopes([row], s.u, mine) for s in own]
+        wider = [{**s.slope, **x} for s, x in zip(own, more, strict=True) if x is not None and s.raw.any()]
+        acting = [np.isin(mine, s.free) for s in own]
+        if own and len(wider) == len(own) and all(_silent(x[row], a) for x, a in zip(wider, acting, strict=True)):
+            for s, x, a in zip(own, wider, acting, strict=True):
+                found.append(_signature(model, target, k, s.free, s.u, x, a, basis))
+        else:
+            found += _signatures(model, target, fit, k, basis)
+    return Tangent(fit, basis, residual, tuple(found), ())
+
+
+def _silent(slope: Real, acting: NDArray[np.bool_]) -> bool:
+    """Whether nothing but what acts has a slope."""
+    norms = np.linalg.norm(slope, axis=0)
+    return not np.any(norms[~acting] > RULES.silent * max(1.0, float(norms.max(initial=0.0))))
+
+
 def _signatures(model: Model, target: Target, fit: Fit, k: int, basis: Real) -> list[Signature]:
     rows, mine = list(target.observed), model.of_cause[k]
     slope = model.slopes(rows, fit.u, mine)

@@ -397,7 +397,7 @@ def _next_experiment(bench: Bench, at: Fit, steps: Sequence[Step], judged: Judge
     model = bench.model
     rows = [r for r, c in enumerate(model.conditions) if c.observed is None]
     if judged.verdict in ("consistent", "named"):
-        return revealing(model, bench.target, at, bench.threshold(at), rows)
+        return revealing(model, bench.target, bench.tangent(at), bench.threshold(at), rows)
     if judged.verdict == "insufficient_data":
         ranked = rank(model, bench.target, _unproven(bench, steps), rows, "what was refused") if steps else []
         return ranked[0] if ranked else None

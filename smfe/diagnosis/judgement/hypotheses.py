@@ -41,6 +41,11 @@ class Bench:
     _reduced: set[tuple[int, tuple[int, ...], bytes]] = field(default_factory=set)
     """What was dropped, and from which fit: a smaller fit from the same start finds the same."""
 
+    @property
+    def values(self) -> float:
+        """Number of the values that are fitted: the misfit of noise."""
+        return float(sum(y.size for y in self.target.observed.values()))
+
     def rng(self, *purpose: int) -> np.random.Generator:
         """Return a generator that depends on the seed and the purpose only."""
         return np.random.default_rng([self.seed, *purpose])
@@ -98,6 +103,12 @@ class Bench:
         known = self.known.get(tuple(sorted({*at.causes, k})))
         return known.chi2 if known is not None and known.converged else float("inf")
 
+    def glimpsed(self, at: Fit, k: int) -> float:
+        """Return the misfit that a fit with a cause more comes to with slopes of the smaller one."""
+        causes = tuple(sorted({*at.causes, k}))
+        near = [self._approached(at, causes, shapes) for shapes in self._shapes(at, (k,))]
+        return min((f.chi2 for f in near if f is not None), default=at.chi2)
+
     def reduce(self, at: Fit, dropped: int) -> Fit:
         """Fit a hypothesis that has a cause less, from the nuisances of the larger one as well."""
         causes = tuple(k for k in at.causes if k != dropped)
@@ -108,6 +119,14 @@ class Bench:
         start[self.model.of_cause[dropped]] = 0.0
         kept = np.isin(at.free, self.model.free(causes))
         return self._keep(fit(self.model, self.target, causes, start, {r: x[:, kept] for r, x in at.slope.items()}))
+
+    def pursued(self, found: Fit) -> Fit:
+        """Follow a fit that did not end from where it stopped."""
+        for _ in range(RULES.pursued):
+            if found.converged:
+                break
+            found = self._keep(fit(self.model, self.target, found.causes, found.u))
+        return found
 
     def confirmed(self, found: Fit) -> Fit:
         """Fit a hypothesis with its own slopes."""
@@ -136,17 +155,19 @@ class Bench:
         begun = self._begun(at, causes, added, most)
         if begun is not None and (begun.chi2 <= self.explained(at) < at.chi2 or self.leads(at, begun)):
             return begun
-        shapes = list(product(*([s for s in self.tangent(at).signatures if s.cause == k] for k in added)))
-        gains = [combined_gain(self.model, self.tangent(at), s) for s in shapes]
         explained = self.explained(at)
         thorough = self.far(added) and self.bad(at) and most > explained
         found = [] if begun is None else [begun]
-        for n in sorted(range(len(gains)), key=lambda n: -gains[n])[: RULES.shapes]:
-            near = self._near(at, causes, shapes[n], most)
+        for shapes in self._shapes(at, added):
+            near = self._near(at, causes, shapes, most)
             found.append(near)
-            linear = near.converged and abs(at.chi2 - near.chi2 - gains[n]) < RULES.nonlinear * gains[n] + 1.0
+            gain = combined_gain(self.model, self.tangent(at), shapes)
+            linear = near.converged and abs(at.chi2 - near.chi2 - gain) < RULES.nonlinear * gain + 1.0
             if linear and not thorough:
                 return min(found, key=_order)
+            if thorough and at.chi2 - near.chi2 > RULES.enough * (at.chi2 - self.values):
+                thorough, most = False, min(most, near.chi2)
+                break
             if near.converged and near.chi2 <= explained < at.chi2:
                 break
         first = min(found, key=_order, default=None)
@@ -161,7 +182,7 @@ class Bench:
         # as it stands, the most hopeful of the others where it may matter.
         known = {} if first is None else first.slope
         trials = []
-        for u in self._starts(at, causes, added, thorough):
+        for u in self._starts(at, causes, added, thorough, most):
             own = thorough or self._misfit(u) < RULES.halfway * at.chi2
             trials.append(self._tried(causes, u, {} if own else known, most))
         trials += [self._tried(causes, u, known, most) for u in self._either_way(at, added, first)]
@@ -176,8 +197,8 @@ class Bench:
     def leads(self, at: Fit, found: Fit) -> bool:
         """Whether a fit with a cause that the data were seen to fit with explains most of what is more than noise."""
         seen = any(self.model.causes[k].begin for k in found.causes if k not in at.causes)
-        values = float(sum(y.size for y in self.target.observed.values()))
-        return seen and found.converged and at.chi2 - found.chi2 >= RULES.named_share * max(at.chi2 - values, 1.0)
+        values = self.values
+        return seen and at.chi2 - found.chi2 >= RULES.named_share * max(at.chi2 - values, 1.0)
 
     def _begun(self, at: Fit, causes: tuple[int, ...], added: Sequence[int], most: float) -> Fit | None:
         """Fit from where a cause brings all that competes with it; None where none of them does."""
@@ -189,8 +210,24 @@ class Bench:
             u[self.model.of_cause[k]] = at.u[self.model.of_cause[k]]
         return fit(self.model, self.target, causes, u, most=most)
 
+    def _shapes(self, at: Fit, added: Sequence[int]) -> list[tuple[Signature, ...]]:
+        """Return the shapes of some causes that do most to first order."""
+        here = self.tangent(at)
+        shapes = list(product(*([s for s in here.signatures if s.cause == k] for k in added)))
+        return sorted(shapes, key=lambda s: -combined_gain(self.model, here, s))[: RULES.shapes]
+
     def _near(self, at: Fit, causes: tuple[int, ...], signatures: Sequence[Signature], most: float) -> Fit:
         """Fit from a linearisation: its first step is the one of the linearised score."""
+        return self._follow(causes, *self._linearised(at, causes, signatures), most)
+
+    def _approached(self, at: Fit, causes: tuple[int, ...], signatures: Sequence[Signature]) -> Fit | None:
+        """Fit from a linearisation with its slopes alone."""
+        return approach(self.model, self.target, causes, *self._linearised(at, causes, signatures))
+
+    def _linearised(
+        self, at: Fit, causes: tuple[int, ...], signatures: Sequence[Signature]
+    ) -> tuple[Real, dict[int, Real]]:
+        """Return where a linearisation was made, and its slopes."""
         start = at.u.copy()
         for s in signatures:
             start[self.model.of_cause[s.cause]] = s.u[self.model.of_cause[s.cause]]
@@ -201,7 +238,7 @@ class Bench:
                 columns.update(zip(self.model.of_cause[s.cause].tolist(), s.slope[r].T, strict=True))
             free = self.model.free(causes).tolist()
             slope[r] = np.stack([columns[j] for j in free], axis=1) if free else np.zeros((y.size, 0))
-        return self._follow(causes, start, slope, most)
+        return start, slope
 
     def _follow(self, causes: tuple[int, ...], start: Real, slope: Mapping[int, Real], most: float) -> Fit:
         """Fit with given slopes, and with its own where these do not lead to the end and it may come below `most`."""
@@ -215,19 +252,26 @@ class Bench:
         found = approach(self.model, self.target, causes, start, slope) if slope else None
         return fit(self.model, self.target, causes, start, most=most) if found is None else found
 
-    def _starts(self, at: Fit, causes: tuple[int, ...], added: Sequence[int], thorough: bool) -> list[Real]:
+    def _starts(
+        self, at: Fit, causes: tuple[int, ...], added: Sequence[int], thorough: bool, most: float = np.inf
+    ) -> list[Real]:
         """Return the starts that causes name because they act far from their null, without those that lead astray.
 
-        Of a thorough search the best, of two: with the nuisances of the fit, and with those that were declared. Where
-        the baseline is far off its nuisances have gone astray with it, and a fit from there finds another minimum. The
-        parameters of the causes are fitted by themselves first, and all to a part of many conditions.
+        Of a thorough search the best: with the nuisances of the fit, with those that were declared, and with those that
+        another variant of the cause was fitted with. Where the baseline is far off its nuisances have gone astray with
+        it, and a fit from there finds another minimum. The parameters of the causes are fitted by themselves first, and
+        all to a part of many conditions: what does not come below `most` there comes below it nowhere.
         """
-        declared = np.where(np.isin(np.arange(at.u.size), self.model.nuisance), 0.0, at.u)
-        found: list[tuple[Real, Real]] = []
+        nuisance = np.isin(np.arange(at.u.size), self.model.nuisance)
+        kinds = [at.u, np.where(nuisance, 0.0, at.u)]
+        variant = self._variant(at, added) if thorough else None
+        if variant is not None:
+            kinds.append(np.where(nuisance, variant.u, at.u))
+        found: list[tuple[Real, ...]] = []
         for k in added:
             mine = self.model.of_cause[k]
             for given in self.model.causes[k].starts:
-                both = (at.u.copy(), declared.copy())
+                both = tuple(u.copy() for u in kinds)
                 for start in both:
                     start[mine] = (np.array(given, dtype=float) - self.model.start[mine]) / self.model.scale[mine]
                 found.append(both)
@@ -241,10 +285,24 @@ class Bench:
         for kind in zip(*found, strict=True):
             best = sorted(kind, key=self._misfit)[: RULES.named_starts]
             near.append(min((fit(self.model, part, causes, u, only=own).u for u in best), key=self._misfit))
+        near = [u for u in near if self._misfit(u) < RULES.lost * at.chi2]
         if part is self.target:
             return near
-        warm = [fit(self.model, part, causes, u, loose=RULES.warm).u for u in near]
-        return sorted([*warm, *near], key=self._misfit)[:1]
+        warm = [fit(self.model, part, causes, u, most=most, loose=RULES.warm) for u in near]
+        hopeful = [u for f, start in zip(warm, near, strict=True) if not f.provisional for u in (f.u, start)]
+        return sorted(hopeful, key=self._misfit)[:1]
+
+    def _variant(self, at: Fit, added: Sequence[int]) -> Fit | None:
+        """Return the best fit with another variant of a single cause; None where there is none."""
+        ids = {self.model.causes[k].id for k in added}
+        of = [
+            f
+            for causes, f in self.fits.items()
+            if len(more := set(causes) - set(at.causes)) == len(added) == 1
+            and set(at.causes) < set(causes)
+            and self.model.causes[next(iter(more))].id in ids
+        ]
+        return min(of, key=lambda f: f.chi2, default=None)
 
     def _either_way(self, at: Fit, added: Sequence[int], best: Fit | None) -> list[Real]:
         """Return starts one scale either way, or on the other side of the best."""
@@ -307,7 +365,7 @@ class Bench:
 
     def explained(self, at: Fit) -> float:
         """Misfit from which on what a fit leaves counts as explained: what noise hardly exceeds, and a little of it."""
-        values = float(sum(y.size for y in self.target.observed.values()))
+        values = self.values
         return values + 4.0 * float(np.sqrt(2.0 * values)) + RULES.little * max(at.chi2 - values, 0.0)
 
     def first_order(self, at: Fit, causes: Sequence[int]) -> float:

@@ -19,7 +19,7 @@ from scipy import stats
 from smfe.diagnosis.inference.fit import Fit, Target, fit, refit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.rules import RULES
-from smfe.diagnosis.inference.signature import tangent
+from smfe.diagnosis.inference.signature import Signature, Tangent, widened
 from smfe.diagnosis.inference.thresholds import Detectable, detectable
 
 
@@ -129,22 +129,41 @@ def _stated_minutes(model: Model, row: int) -> float | None:
 # --- What the measured conditions hide, and which experiment would: the next step where nothing was found.
 
 
-def revealing(model: Model, target: Target, null: Fit, limit: float, rows: Sequence[int]) -> Proposal | None:
-    """Return the proposal (row) that reveals most of what the measured conditions hide; None where none does."""
-    before = _sizes(model, detectable(model, tangent(model, target, null), limit))
+def revealing(model: Model, target: Target, here: Tangent, limit: float, rows: Sequence[int]) -> Proposal | None:
+    """Return the proposal (row) that reveals most of what the measured conditions hide; None where none does.
+
+    They are known by the linearisation of a fit to them; what is not seen at a `limit` of the likelihood ratio is
+    hidden. Of many proposals those are examined that show most of the shapes of causes that are hidden best.
+    """
+    before = _sizes(model, detectable(model, here, limit))
     # Another form of what was found is not hidden.
-    known = {model.causes[k].id for k in null.causes}
+    known = {model.causes[k].id for k in here.fit.causes}
     hidden = {key: size for key, size in before.items() if size > 1.0 and key[0].partition("/")[0] not in known}
-    best: tuple[float, int, dict[tuple[str, str], float]] | None = None
-    for row in rows if hidden else ():
-        after = _with(model, target, null, limit, row, {key for key, _ in hidden})
+    if not hidden:
+        return None
+
+    def examined(at: Tangent, row: int) -> tuple[float, dict[tuple[str, str], float]]:
+        """What an experiment is worth a minute, and the sizes that are seen with it."""
+        after = _with(model, target, at, limit, row, {key for key, _ in hidden})
         if after is None:
-            continue
+            return 0.0, {}
         worth = sum(math.log(size / max(after.get(key, size), 1.0)) for key, size in hidden.items())
-        rate = worth / _minutes(model, row)
-        if worth > math.log(RULES.worth_saying) and (best is None or rate > best[0]):
-            best = rate, row, after
-    return None if best is None else _proposal(model, best[1], hidden, best[2])
+        return (worth / _minutes(model, row) if worth > math.log(RULES.worth_saying) else 0.0), after
+
+    if len(rows) > RULES.proposals_tried:
+        few = _least_seen(here)
+        rows = sorted(rows, key=lambda row: -examined(few, row)[0])[: RULES.proposals_tried]
+    best = max(((*examined(here, row), row) for row in rows), key=lambda one: one[0], default=(0.0, {}, -1))
+    return _proposal(model, best[2], hidden, best[1]) if best[0] > 0.0 else None
+
+
+def _least_seen(here: Tangent) -> Tangent:
+    """Keep the shape of each cause that does least beyond what the fit imitates."""
+    least: dict[int, Signature] = {}
+    for s in here.signatures:
+        if s.cause not in least or np.linalg.norm(s.columns) < np.linalg.norm(least[s.cause].columns):
+            least[s.cause] = s
+    return replace(here, signatures=tuple(least.values()))
 
 
 def _minutes(model: Model, row: int) -> float:
@@ -158,16 +177,17 @@ def _sizes(model: Model, seen: Sequence[Detectable]) -> dict[tuple[str, str], fl
 
 
 def _with(
-    model: Model, target: Target, null: Fit, limit: float, row: int, causes: set[str]
+    model: Model, target: Target, here: Tangent, limit: float, row: int, causes: set[str]
 ) -> dict[tuple[str, str], float] | None:
     """Sizes that would be seen if a condition were measured as well and showed what the baseline predicts."""
+    null = here.fit
     predicted, slope = model.predict(row, null.u), model.slopes([row], null.u, null.free)
     if predicted is None or slope is None:
         return None
     more = Target({**target.observed, row: predicted}, target.centre)
     fit = replace(null, residual={**null.residual, row: np.zeros_like(predicted)}, slope={**null.slope, **slope})
     wanted = [k for k, c in enumerate(model.causes) if c.key in causes]
-    return _sizes(model, detectable(model, tangent(model, more, fit, wanted), limit))
+    return _sizes(model, detectable(model, widened(model, more, fit, here, row, wanted), limit))
 
 
 def _proposal(

@@ -76,8 +76,10 @@ def _best_step(bench: Bench, at: Fit, steps: list[Step]) -> Fit | None:
         led = max((at.chi2 - f.chi2 for f, _ in found if bench.leads(at, f)), default=0.0)
         if led > 0.0 and bench.first_order(at, (k,)) < RULES.outdone * led:
             continue
-        most = min((f.chi2 + RULES.far for f, _ in found if f.converged), default=np.inf)
-        found.append((bench.extend(at, (k,), min(most, _passing(bench, at, (k,), bench.threshold(at)))), (k,)))
+        # What fits better has won, though it has not ended: nothing may be named in its place.
+        least, passing = min((f.chi2 for f, _ in found), default=np.inf), _passing(bench, at, (k,), bench.threshold(at))
+        tried = bench.extend(at, (k,), min(least + RULES.far, passing))
+        found.append((bench.pursued(tried) if tried.chi2 < min(least, passing) else tried, (k,)))
     at = _settled(bench, at, [f for f, _ in found if f.converged])
     limit = bench.threshold(at)
     for candidate, added in _ordered(bench, at, found):
@@ -102,8 +104,18 @@ def _promising(bench: Bench, at: Fit, others: Sequence[int], limit: float) -> li
         for n, k in enumerate(ordered)
         if n < RULES.least_tried or gains[k] > RULES.promising * limit or (bad and bench.far([k]))
     ]
-    # What fitted nearly the same data best goes first: what does worse is then not followed to its optimum.
-    return sorted(tried, key=lambda k: bench.known_misfit(at, k))
+    # What fitted nearly the same data best goes first, then what explains a part of them with slopes of the smaller
+    # fit: what does worse is not followed to its optimum. What acts far from its null only comes in the order of the
+    # catalogue, the richest of its variants first.
+    ids = list(dict.fromkeys(cause.id for cause in bench.model.causes))
+    least = RULES.part * max(at.chi2 - bench.values, 0.0)
+
+    def rank(k: int) -> tuple[float, bool, float, int, int]:
+        cause, near = bench.model.causes[k], bench.glimpsed(at, k) if bad else at.chi2
+        far = (1 + ids.index(cause.id), -len(cause.parameters)) if bad and bench.far([k]) else (0, 0)
+        return (bench.known_misfit(at, k), not cause.begin, near if at.chi2 - near > least else at.chi2, *far)
+
+    return sorted(tried, key=rank)
 
 
 def _passing(bench: Bench, at: Fit, added: Sequence[int], limit: float) -> float:

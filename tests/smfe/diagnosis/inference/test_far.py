@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from process.types import Real
-from smfe.diagnosis.inference.fit import Target, fit
+from smfe.diagnosis.inference.fit import Fit, Target, fit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 
@@ -53,3 +53,34 @@ def ends(seed: int) -> bool:
 def test_fits_that_a_trust_region_brought_near_an_optimum_end_there() -> None:
     """Without plain steps after it five of the twenty did not."""
     assert sum(ends(seed) for seed in range(20)) >= 18
+
+
+def test_a_fit_that_cannot_come_as_low_as_another_is_given_up() -> None:
+    """It is no evidence: provisional, above what it had to come below, and after fewer predictions than to its end."""
+    rough = Resonances((Condition("hits", {}, None),))
+    seen = rough.predict(rough.conditions[0], {p.name: p.start for p in rough.nuisances})
+    seen[::2] += 20.0
+    predicted = 0
+
+    class Counted(Resonances):
+        def predict(self, condition: Condition, values: Mapping[str, float]) -> Real:
+            nonlocal predicted
+            predicted += 1
+            return super().predict(condition, values)
+
+    def fitted(most: float) -> tuple[Fit, int]:
+        nonlocal predicted
+        predicted = 0
+        model = Model(Counted((Condition("hits", {}, seen),)), (Condition("hits", {}, seen),))
+        start = model.scaled({"f0": 50.0, "f1": 66.0, "f2": 99.0, "size1": 1.5})
+        return fit(model, Target({0: seen}, model.null()), (), start, most=most), predicted
+
+    whole, all_of_it = fitted(np.inf)
+    lost, some = fitted(0.01 * whole.chi2)
+    assert (whole.converged, whole.provisional, lost.provisional) == (True, False, True)
+    assert lost.chi2 > whole.chi2
+    assert some < all_of_it
+    # What can still come below it is followed to its end.
+    near, _ = fitted(1.01 * whole.chi2)
+    assert not near.provisional
+    assert abs(near.chi2 - whole.chi2) < 1e-3 * whole.chi2

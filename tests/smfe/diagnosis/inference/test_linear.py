@@ -16,7 +16,7 @@ from smfe.diagnosis.inference.misfit import Misfit, NoiseKnowledge, assess
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 from smfe.diagnosis.inference.rules import RULES
-from smfe.diagnosis.inference.signature import tangent
+from smfe.diagnosis.inference.signature import tangent, widened
 from smfe.diagnosis.inference.thresholds import Score, noncentrality, threshold
 from smfe.diagnosis.judgement.diagnose import deviations, diagnose, estimates
 from smfe.diagnosis.judgement.finding import Estimate, Finding, FoundCause
@@ -543,6 +543,34 @@ def test_where_nothing_is_wrong_the_next_experiment_is_the_one_that_shows_what_i
     shown = diagnose(measured(replace(FAMILY, causes=(GAIN,), proposals=(faster, slow)), {}, 0))
     assert shown.verdict == "consistent"
     assert shown.next_experiment is None
+
+
+def test_a_tangent_with_one_condition_more_is_that_of_all_of_them():
+    """What a cause does only in the new one is found too; slopes in the others are not taken again."""
+    late = replace(cause("late"), id="late")
+    effects = FAMILY.effects | {"late.0": lambda s: (s["feed"] > 5.0) * BASIS[6]}
+    family = measured(replace(FAMILY, causes=(*FAMILY.causes, late), effects=effects), {"gain.0": 1.0}, 3)
+    new = Condition("feed 8 +1", {"feed": 8.0, "direction": 1.0, "order": 9.0})
+    model = Model(family, (*family.conditions, new))
+    few = Target({r: c.observed for r, c in enumerate(family.conditions)}, model.null())
+    at, row = fit(model, few, (), model.null()), len(family.conditions)
+    wider = Target({**few.observed, row: model.predict(row, at.u)}, model.null())
+    slope = model.slopes([row], at.u, at.free)
+    more = replace(at, residual={**at.residual, row: np.zeros(N)}, slope={**at.slope, **slope})
+    direct = tangent(model, wider, more)
+    found = widened(model, wider, more, tangent(model, few, at), row, range(4))
+    assert [s.cause for s in found.signatures] == [s.cause for s in direct.signatures] == [0, 1, 2, 3]
+    for one, other in zip(found.signatures, direct.signatures, strict=True):
+        assert one.columns == pytest.approx(other.columns, abs=1e-9)
+
+
+def test_of_many_proposals_the_one_that_shows_what_is_hidden_is_found():
+    fast = replace(FAMILY, conditions=grid((6.0, 7.0)), causes=(FRICTION, GAIN))
+    feeds = (8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 0.5, 14.0)
+    many = tuple(Condition(f"feed {f:g}", {"feed": f, "direction": 1.0, "order": 9.0}) for f in feeds)
+    found = diagnose(measured(replace(fast, proposals=many), {}, 0))
+    assert len(many) > RULES.proposals_tried
+    assert found.next_experiment.name == "feed 0.5"
 
 
 def test_the_probability_to_settle_is_what_a_simulation_finds():
