@@ -46,7 +46,7 @@ from smfe.results import (
 CURVES = ".nc"
 """Suffix of the file beside ``finding.json`` that holds the curves."""
 
-FORM = 2
+FORM = 3
 """Number of the form in which findings are kept."""
 
 

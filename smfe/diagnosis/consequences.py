@@ -28,6 +28,7 @@ from smfe.diagnosis.judgement.finding import (
 )
 from smfe.diagnosis.judgement.materiality import Worth, no_cut
 from smfe.diagnosis.judgement.next_experiment import Proposal
+from smfe.diagnosis.judgement.verdict import Verdict
 from smfe.diagnosis.story.blocks import block_of, repeated
 from smfe.diagnosis.story.causes import Friction
 from smfe.diagnosis.story.curves import with_curves
@@ -42,10 +43,20 @@ from smfe.diagnosis.story.millimetres import (
     largest_change,
     pockets,
     stable_depths,
+    stands_of,
 )
 from smfe.diagnosis.story.sentences import Setting, told
 from smfe.diagnosis.story.to_do import action
 from smfe.limits.cutting_tests import judge
+
+_EXPECTED: Mapping[Verdict, str] = {
+    "consistent": "the simulation predicts it, so that it is one more test of it",
+    "named": "the extended model predicts it, so that it is a test of the whole",
+    "ambiguous": "it separates them best of all that is known here, but hardly alone",
+    "unknown": "it shows whether what is left depends on what is changed there",
+    "insufficient_data": "it adds what is missing: a further condition that a fit can be held against",
+}
+"""What an experiment is for where the search itself has none to propose."""
 
 
 def worth_of(campaign: Campaign, family: Family) -> Worth:
@@ -80,7 +91,9 @@ def with_consequences(
     if finding.causes:
         if isinstance(family, DriveRecordFamily):
             finding = replace(finding, force_error=tuple(_force_errors(family, finding, held_out)))
-        rows = () if depths is None else stable_depths(campaign, depths, finding.values, before)
+        rows = (
+            () if depths is None else stable_depths(campaign, depths, finding.values, before, stands=stands_of(family))
+        )
         tested = tuple(_tested(campaign, rows, happened)) if rows else ()
         best = pockets(campaign, rows)
         finding = replace(finding, stable_depth=rows, no_depth=why, tested_depth=tested, pockets=best)
@@ -109,12 +122,7 @@ def _next(campaign: Campaign, family: Family, finding: Finding) -> Proposal | No
         first = family.proposals[0]
         said = first.settings.get("minutes")
         minutes = None if said is None else float(said)
-        expected = (
-            "it settles the question best of all that is known here, but hardly alone"
-            if finding.verdict == "ambiguous"
-            else "what is said here predicts it: a test of the whole"
-        )
-        found = Proposal(first.name, math.nan, math.nan, expected, minutes)
+        found = Proposal(first.name, math.nan, math.nan, _EXPECTED[finding.verdict], minutes)
     proposed = [c for c in family.proposals if c.name == found.name]
     if not proposed:
         return found
@@ -140,7 +148,7 @@ def _costs(campaign: Campaign, family: Family, finding: Finding, depths: Depths)
         if g.cost_mm is None and p is not None and g.found != g.given and math.isfinite(g.found):
             try:
                 as_given = {**finding.values, g.name: p.start}
-                rows = stable_depths(campaign, depths, finding.values, as_given, FEW_SPEEDS)
+                rows = stable_depths(campaign, depths, finding.values, as_given, FEW_SPEEDS, stands_of(family))
             except InputError:  # no machine has these values
                 yield g
                 continue
@@ -217,5 +225,6 @@ def _force_errors(family: DriveRecordFamily, finding: Finding, held_out: Sequenc
     for apart in (False, True):
         part: list[Condition] = [c for c in family.conditions if (c.name in held_out) == apart]
         if part:
-            errors = (family.force_error(v, part) for v in (finding.values_before, finding.values))
+            models = (finding.values_before, finding.values, finding.values_refitted)
+            errors = (family.force_error(v, part) for v in models)
             yield ForceError(apart, *errors)

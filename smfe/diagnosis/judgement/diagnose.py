@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from process.errors import InputError
 from process.types import Complex, Real
 from smfe.diagnosis.inference.cross_validation import Gain, HeldOut, compare, unseen, usable, within
-from smfe.diagnosis.inference.fit import Fit, Target, fit, stacked
+from smfe.diagnosis.inference.fit import Fit, Target, fit, residuals, stacked
 from smfe.diagnosis.inference.misfit import Misfit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition, Family
@@ -218,7 +218,8 @@ def _finding(
     if judged.verdict in ("unknown", "insufficient_data"):
         released = ()  # what is not understood may have moved them
     before = _as_given(bench, released) if released else bench
-    conditions, compared = by_condition(model, before.null(), at, apart, _in_turn(before, bench, at))
+    declared = _declared_values(bench)
+    conditions, compared = by_condition(model, declared, before.null(), at, apart, _in_turn(before, bench, at))
     named = [k for k in at.causes if k not in judged.immaterial]
     understood = judged.verdict in ("consistent", "named")
     off = slightly_off(model, bench.target, at) if understood else []
@@ -228,7 +229,8 @@ def _finding(
         causes=(*_declared(bench, released, worth, at), *(_found(bench, at, k, judged, worth) for k in named)),
         alternatives=_alternatives(bench, at, judged, worth),
         search_steps=tuple(_search_step(model, s, values) for s in steps),
-        misfit_before_db=_decibel(before.null().chi2, values),
+        misfit_before_db=_misfit_at(bench, declared, values),
+        misfit_refitted_db=_decibel(before.null().chi2, values),
         misfit_after_db=_decibel(at.chi2, values),
         gain=_whole_gain(before, bench, at) if released else judged.gain,
         held_out_gain=_held_out_gain(before, bench, at, apart),
@@ -236,12 +238,13 @@ def _finding(
         detectable=sizes,
         inseparable=tuple(tuple(model.causes[k].key for k in g) for g in together),
         unconverged=tuple(sorted(bench.unconverged.items())),
-        next_experiment=_next_experiment(bench, at, steps, judged),
+        next_experiment=_separating(bench, at, released) or _next_experiment(bench, at, steps, judged),
         threshold=limit if math.isfinite(limit) else None,
         conditions=conditions,
         compared=compared,
         values=model.values(at.u),
-        values_before=model.values(before.null().u),
+        values_before=model.values(declared),
+        values_refitted=model.values(before.null().u),
         given=_given(bench, at, {g for r in released for g in r.given}, worth),
         immaterial=(
             # One that is large and not borne out is neither wrong nor too small to matter.
@@ -257,6 +260,27 @@ def _as_given(bench: Bench, released: Sequence[Released]) -> Bench:
     fixed = {g for r in released for g in r.given}
     model = Model(bench.model.family, bench.model.conditions, bench.model.helpers, fixed=fixed)
     return Bench(model, bench.target, bench.seed, bench.progress)
+
+
+def _declared_values(bench: Bench) -> Real:
+    """Return the scaled values of the simulation as it is declared, without any cause and with nothing refitted.
+
+    What nobody declares, and no workshop holds to (the friction of an axis that only its records know), has the values
+    that fit best with all the others as declared: a simulation has no others.
+    """
+    model = bench.model
+    own = range(len(model.family.nuisances))
+    open_ = np.array([j for j in own if math.isinf(model.parameters[j].prior)], dtype=np.int64)
+    if not open_.size:
+        return model.null()
+    found = fit(model, bench.target, (), model.null(), only=open_)
+    return found.u if found.converged else model.null()
+
+
+def _misfit_at(bench: Bench, u: Real, values: int) -> float | None:
+    """Return the misfit of scaled values over noise [dB]; None where nothing is predicted with them."""
+    found = residuals(bench.model, bench.target, u)
+    return None if found is None else _decibel(sum(float(x @ x) for x in found.values()), values)
 
 
 def _whole_gain(before: Bench, bench: Bench, at: Fit) -> Gain | None:
@@ -390,6 +414,35 @@ def _unproven(bench: Bench, steps: Sequence[Step]) -> list[Fit]:
         if f.converged and not any(set(g.causes) & set(f.causes) for g in kept):
             kept.append(f)
     return kept[: RULES.contenders] if len(kept) > 1 else [*kept, bench.null()]
+
+
+def _separating(bench: Bench, at: Fit, released: Sequence[Released]) -> Proposal | None:
+    """Return the proposal that tells which of a set of declared values is wrong; None where none does, or none is open.
+
+    Each is released in the place of the first, and the data are fitted once more.
+    """
+    model = bench.model
+    rows = [r for r, c in enumerate(model.conditions) if c.observed is None]
+    for chosen in (r for r in released if len(r.given) > 1):
+        others = {r.given[0] for r in released if r is not chosen}
+        models, fits, titles = [], [], []
+        for given, values in list(zip(chosen.given, chosen.values, strict=True))[: RULES.contenders]:
+            start = at.u.copy()
+            start[list(chosen.values[0])] = 0.0
+            start[list(values)] = list(values.values())
+            one = Model(model.family, model.conditions, model.helpers, {given, *others})
+            found = fit(one, bench.target, at.causes, np.clip(start, one.low, one.high))
+            if found.converged:
+                models.append(one)
+                fits.append(found)
+                worst = max(values, key=lambda j: abs(values[j]) / _prior(model, j))
+                titles.append(model.parameters[worst].said or model.names[worst])
+        if len(fits) > 1:
+            open_ = sorted({j for values in chosen.values for j in values})
+            ranked = rank(model, bench.target, fits, rows, " and ".join(titles), models, open_)
+            if ranked and ranked[0].probability > 0.5:
+                return ranked[0]
+    return None
 
 
 def _next_experiment(bench: Bench, at: Fit, steps: Sequence[Step], judged: Judgement) -> Proposal | None:

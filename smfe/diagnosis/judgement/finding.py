@@ -1,4 +1,8 @@
-"""What a diagnosis found, as it is kept in ``finding.json``."""
+"""What a diagnosis found, as it is kept in ``finding.json``.
+
+*Before* is the simulation as the campaign declares it, nothing refitted. *Refitted* is the same model without any
+cause, its parameters fitted to the data: from there the gain of a cause is counted. *After* is the best model.
+"""
 
 from __future__ import annotations
 
@@ -82,13 +86,16 @@ class ConditionMisfit:
     """Squares of the residuals of a condition over those of noise [dB], and the error of both models there."""
 
     name: str  # of the condition
-    before_db: float | None  # of the baseline; None where it predicts nothing there
+    before_db: float | None  # of the simulation as declared; None where it predicts nothing there
     after_db: float | None  # of the best model
     held_out: bool  # whether no fit has seen it
+    refitted_db: float | None = None  # of the refitted simulation
     error_before: float | None = None
-    """Error of the baseline, rms over rms of what was measured [1], from a fit that has not seen the condition where
-    `unseen` says so; None where it is not known in the units of the measurement."""
-    error_after: float | None = None  # of the best model
+    """Error of the simulation as declared, rms over rms of what was measured [1]; None where it is not known in the
+    units of the measurement."""
+    error_refitted: float | None = None
+    """Of the refitted simulation, from a fit that has not seen the condition where `unseen` says so."""
+    error_after: float | None = None  # of the best model, likewise
     unseen: bool = False  # whether the errors are those of fits that have not seen the condition
 
 
@@ -102,25 +109,27 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Compared:
-    """A condition as it was compared in the end, and what both models make of it."""
+    """A condition as it was compared in the end, and what each model makes of it."""
 
     condition: Condition
     held_out: bool  # whether no fit has seen it
-    before: Prediction | None  # of the baseline; None where it predicts nothing there
+    before: Prediction | None  # of the simulation as declared; None where it predicts nothing there
+    refitted: Prediction | None  # of the refitted simulation
     after: Prediction | None  # of the best model
     unseen: tuple[tuple[Prediction, Prediction], ...] = ()
-    """Of baseline and best model fitted without it, one for each way in which conditions were left out."""
+    """Of refitted and best model fitted without it, one for each way in which conditions were left out."""
 
 
 @dataclass(frozen=True)
 class ModelError:
-    """Error of both models over some conditions: rms over rms of what was measured [1]."""
+    """Error of the models over some conditions: rms over rms of what was measured [1]."""
 
     of: str  # "measurements", "moves", "cuts" or "limits"
     count: int  # of them
     tested: str  # "set aside" (by the campaign), "left out in turn" or "fitted"
-    before: float  # error of the baseline
+    before: float  # error of the simulation as declared
     after: float  # error of the extended model
+    refitted: float | None = None  # error of the refitted simulation; None where it is not known
 
     @property
     def gain_db(self) -> float:
@@ -161,6 +170,7 @@ class StableDepth:
     feed_mm_min: float
     before_mm: float
     after_mm: float  # infinite: no limit; zero: at this feed the axis vibrates without any cut
+    at: str = ""  # where, when and how hard shaken the machine cuts, in words; empty where that changes nothing
 
 
 @dataclass(frozen=True)
@@ -180,8 +190,9 @@ class ForceError:
     """Error of the drive force over the moves that were fitted, or held out: rms over rms of the force [1]."""
 
     held_out: bool
-    before: float
-    after: float
+    before: float  # of the simulation as declared
+    after: float  # of the extended model
+    refitted: float  # of the refitted simulation
 
 
 @dataclass(frozen=True)
@@ -232,7 +243,8 @@ class Finding:
     """Sets that the data do not separate; each begins with the cause that fits best. Causes of the best model that are
     in none are certain."""
     search_steps: tuple[SearchStep, ...] = ()  # steps of the search
-    misfit_before_db: float | None = None  # of the baseline, over noise; 0 dB is noise alone
+    misfit_before_db: float | None = None  # of the simulation as declared, over noise; 0 dB is noise alone
+    misfit_refitted_db: float | None = None  # of the refitted simulation
     misfit_after_db: float | None = None  # of the best model
     gain: Gain | None = None  # of all causes together, on conditions held out in turn
     held_out_gain: Gain | None = None  # the same on the conditions that no fit used
@@ -249,7 +261,8 @@ class Finding:
     threshold: float | None = None  # of the likelihood ratio of the first cause, less two for each of its parameters
     conditions: tuple[ConditionMisfit, ...] = ()  # misfit of each condition before and after
     values: Mapping[str, float] = field(default_factory=dict)  # parameters of the best model (SI)
-    values_before: Mapping[str, float] = field(default_factory=dict)  # of the baseline, fitted to the same data
+    values_before: Mapping[str, float] = field(default_factory=dict)  # of the simulation as declared
+    values_refitted: Mapping[str, float] = field(default_factory=dict)  # of the same, fitted to the same data
     stable_depth: tuple[StableDepth, ...] = ()
     """Where the finding repairs the machine of a campaign that asks for stable depths."""
     pockets: tuple[Pocket, ...] = ()  # the best speed of each request, before and after
@@ -264,7 +277,7 @@ class Finding:
     passages: tuple[Passage, ...] = ()  # the finding in sentences (`smfe.diagnosis.story.sentences`)
     compared: tuple[Compared, ...] = field(default=(), repr=False, compare=False)  # conditions, not in the file
     curves: xr.Dataset | None = field(default=None, repr=False, compare=False)
-    """Measured, baseline and extended model of each condition (`smfe.diagnosis.story.curves`): ``finding.nc``."""
+    """Measured, simulation and extended model of each condition (`smfe.diagnosis.story.curves`): ``finding.nc``."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -277,7 +290,7 @@ class Finding:
         found = asdict(replace(self, compared=(), curves=None), dict_factory=_with_keys)
         for name in ("compared", "curves"):
             del found[name]
-        found["misfit_db"] = {"before": found.pop("misfit_before_db"), "after": found.pop("misfit_after_db")}
+        found["misfit_db"] = {which: found.pop(f"misfit_{which}_db") for which in ("before", "refitted", "after")}
         found["unconverged"] = dict(self.unconverged)
         plain: dict[str, Any] = _plain(found)
         return plain
@@ -322,31 +335,38 @@ def unit_of(unit: str) -> str:
     return "" if unit == "1" else f" {unit}"
 
 
-# --- What the baseline and the best model make of each condition, those that were held out included.
+# --- What each model makes of each condition, those that were held out included.
 
 
 def by_condition(
-    model: Model, before: Fit, after: Fit, held_out: Mapping[int, Real], in_turn: Sequence[tuple[HeldOut, HeldOut]]
+    model: Model,
+    declared: Real,
+    refitted: Fit,
+    after: Fit,
+    held_out: Mapping[int, Real],
+    in_turn: Sequence[tuple[HeldOut, HeldOut]],
 ) -> tuple[tuple[ConditionMisfit, ...], tuple[Compared, ...]]:
     """Return the misfit and the predictions of each condition, in the order of the campaign.
 
-    `in_turn` are the predictions of the baseline and of the best model from fits that left conditions out.
+    `declared` are the scaled values of the simulation as declared, `in_turn` the predictions of the refitted and of the
+    best model from fits that left conditions out.
     """
-    unseen = [residuals(model, Target(held_out, f.u), f.u) or {} for f in (before, after)]
-    every = [{**f.residual, **more} for f, more in zip((before, after), unseen, strict=True)]
+    unseen = [residuals(model, Target(held_out, f.u), f.u) or {} for f in (refitted, after)]
+    every = [{**f.residual, **more} for f, more in zip((refitted, after), unseen, strict=True)]
     misfits, compared = [], []
-    for r in sorted({*before.residual, *held_out}):
+    for r in sorted({*refitted.residual, *held_out}):
         condition = model.conditions[r]
-        both = [_prediction(model, r, f.u) for f in (before, after)]
-        blind = [both] if r in held_out else []
+        before = _prediction(model, r, declared)
+        fitted, best = (_prediction(model, r, f.u) for f in (refitted, after))
+        blind = [[fitted, best]] if r in held_out else []
         for pair in in_turn:
             fits = zip(*(h.fitted.get(r, ()) for h in pair), strict=True)
             blind += [[_prediction(model, r, u) for u in us] for us in fits]
-        misfits.append(
-            ConditionMisfit(condition.name, _decibel(every[0].get(r)), _decibel(every[1].get(r)), r in held_out)
-        )
+        off = None if before is None or condition.observed is None else before.whitened - condition.observed
+        decibels = [_decibel(x) for x in (off, *(own.get(r) for own in every))]
+        misfits.append(ConditionMisfit(condition.name, decibels[0], decibels[2], r in held_out, decibels[1]))
         known = tuple((a, b) for a, b in blind if a is not None and b is not None)
-        compared.append(Compared(condition, r in held_out, both[0], both[1], known))
+        compared.append(Compared(condition, r in held_out, before, fitted, best, known))
     return tuple(misfits), tuple(compared)
 
 

@@ -52,8 +52,12 @@ class Proposal:
     block: str = ""  # the same as tables of a campaign file (`smfe.diagnosis.story.blocks`)
 
 
-def discrimination(model: Model, target: Target, truth: Fit, rival: Fit, rows: Sequence[int]) -> Fit | None:
+def discrimination(
+    model: Model, target: Target, truth: Fit, rival: Fit, rows: Sequence[int], declared: Sequence[int] = ()
+) -> Fit | None:
     """Fit a rival to what another hypothesis predicts for the measured conditions and `rows`; its chi2 is D.
+
+    `model` is that of the rival. Of the parameters `declared` what was declared stays what it is, whatever is true.
 
     A fit that has not converged gives what D is at the least: its misfit less what steps may still take off it. A
     small D is that of a fit with its own slopes: only so is a rival that imitates the truth seen to do so.
@@ -63,7 +67,9 @@ def discrimination(model: Model, target: Target, truth: Fit, rival: Fit, rows: S
     slope = model.slopes(rows, rival.u, rival.free)
     if len(predicted) < len(every) or slope is None:
         return None
-    centre = np.where(np.isin(np.arange(truth.u.size), truth.free), truth.u, target.centre)
+    numbers = np.arange(truth.u.size)
+    moves = np.isin(numbers, truth.free) & ~np.isin(numbers, declared)
+    centre = np.where(moves, truth.u, target.centre)
     aim = Target(predicted, centre)
     found = refit(model, aim, replace(rival, slope={**rival.slope, **slope}))
     if found.provisional and found.chi2 < RULES.margin:
@@ -80,14 +86,27 @@ def probability_to_settle(found: float) -> float:
     return float(stats.norm.cdf((found - RULES.margin) / (2.0 * math.sqrt(found)))) if found > 0.0 else 0.0
 
 
-def rank(model: Model, target: Target, open_: Sequence[Fit], rows: Sequence[int], title: str = "") -> list[Proposal]:
+def rank(
+    model: Model,
+    target: Target,
+    open_: Sequence[Fit],
+    rows: Sequence[int],
+    title: str = "",
+    models: Sequence[Model] = (),
+    declared: Sequence[int] = (),
+) -> list[Proposal]:
     """Rank proposals (rows) by how soon they are expected to decide between hypotheses, `title`, the soonest first.
 
-    Only the proposals that separate most, if no parameter gave way, are examined.
+    Only the proposals that separate most, if no parameter gave way, are examined. Hypotheses that differ in what they
+    take as declared have `models` of their own, one each; `declared` are the parameters that one of them frees.
     """
     found = []
+    own = models or [model] * len(open_)
     for row in _promising(model, open_, rows):
-        pairs = [(a, discrimination(model, target, a, b, [row])) for a, b in permutations(open_, 2)]
+        pairs = [
+            (open_[a], discrimination(own[b], target, open_[a], open_[b], [row], declared))
+            for a, b in permutations(range(len(open_)), 2)
+        ]
         fits = [f for a, f in pairs if f is None or not _imitates(model, f, a)]
         if not fits or any(f is None or not f.converged for f in fits):
             continue

@@ -1,9 +1,10 @@
-"""What was measured beside what both models say of it, condition by condition, and how far they are off.
+"""What was measured beside what the models say of it, condition by condition, and how far they are off.
 
-One dataset for every family: ``measured``, ``baseline`` and ``extended`` over (condition, point, entry), complex where
-they are compliances, not a number behind the end of a shorter condition. Where a condition could be left out of the
-fit, the models are those that have not seen it (coordinate ``unseen``); ``held_out`` are those that the campaign sets
-aside.
+One dataset for every family: ``measured``, ``baseline``, ``refitted`` and ``extended`` over (condition, point, entry),
+complex where they are compliances, not a number behind the end of a shorter condition. ``baseline`` is the simulation
+as the campaign declares it, nothing refitted; ``refitted`` is the best that it can do without any cause. Where a
+condition could be left out of the fit, fitted models are those that have not seen it (coordinate ``unseen``);
+``held_out`` are those that the campaign sets aside.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ from smfe.diagnosis.frf.modes import ModalFrfs
 from smfe.diagnosis.frf.noise import excited_of
 from smfe.diagnosis.inference.problem import Condition, Family
 from smfe.diagnosis.judgement.finding import Compared, ConditionMisfit, Finding, ModelError, Prediction
+
+MODELS = ("baseline", "refitted", "extended")
+"""Variables of the models: as declared, the best without a cause, the best."""
 
 ANGLES = np.arange(0.0, 361.0, 2.0)
 """Spindle angles over which cutting forces are drawn [degrees]."""
@@ -80,24 +84,29 @@ def with_curves(family: Family, finding: Finding) -> Finding:
     known = [(c, curve) for c in finding.compared if (curve := _curve(family, c.condition)) is not None]
     if not known:
         return finding
-    rows = [(c, curve, _pairs(c)) for c, curve in known]
+    rows = [(c, curve, _models(c)) for c, curve in known]
     rows = [row for row in rows if row[2]]
     misfits = {m.name: m for m in finding.conditions}
-    sums: dict[tuple[str, str], list[tuple[float, float, float]]] = {
+    sums: dict[tuple[str, str], list[tuple[float, float, float, float]]] = {
         (k.of, tested): [] for k in KINDS for tested in ("set aside", "left out in turn", "fitted")
     }
-    for c, curve, pairs in rows:
-        before, after = _squares(curve, pairs)
+    for c, curve, models in rows:
+        errors_of = _squares(curve, models)
         whole = _square(curve, curve.measured)
         size = 1.0 if curve.kind.alike else whole
         name, unseen = c.condition.name, bool(c.unseen)
         tested = "set aside" if c.held_out else "left out in turn" if unseen else "fitted"
-        sums[curve.kind.of, tested].append((size * before / whole, size * after / whole, size))
+        before, refitted, after = (square / whole for square in errors_of)
+        sums[curve.kind.of, tested].append((size * before, size * after, size * refitted, size))
         misfits[name] = replace(
-            misfits[name], error_before=(before / whole) ** 0.5, error_after=(after / whole) ** 0.5, unseen=unseen
+            misfits[name],
+            error_before=before**0.5,
+            error_refitted=refitted**0.5,
+            error_after=after**0.5,
+            unseen=unseen,
         )
     errors = tuple(
-        ModelError(of, len(found), tested, *(_root_mean(found, k) for k in (0, 1)))
+        ModelError(of, len(found), tested, *(_root_mean(found, k) for k in (0, 1, 2)))
         for (of, tested), found in sums.items()
         if found
     )
@@ -109,22 +118,27 @@ def with_curves(family: Family, finding: Finding) -> Finding:
     )
 
 
-def _root_mean(found: Sequence[tuple[float, float, float]], k: int) -> float:
-    return float(np.sqrt(sum(x[k] for x in found) / max(sum(x[2] for x in found), 1e-300)))
+def _root_mean(found: Sequence[tuple[float, float, float, float]], k: int) -> float:
+    return float(np.sqrt(sum(x[k] for x in found) / max(sum(x[-1] for x in found), 1e-300)))
 
 
-def _pairs(c: Compared) -> tuple[tuple[Prediction, Prediction], ...]:
-    """Return what both models predict: without having seen the condition, where that is known."""
+Models = tuple[Prediction, Prediction, Prediction]
+"""What the simulation as declared, the refitted one and the extended model predict."""
+
+
+def _models(c: Compared) -> tuple[Models, ...]:
+    """Return what the models predict: fitted ones without having seen the condition, where that is known."""
+    if c.before is None:
+        return ()
     if c.unseen:
-        return c.unseen
-    return ((c.before, c.after),) if c.before is not None and c.after is not None else ()
+        return tuple((c.before, *both) for both in c.unseen)
+    return ((c.before, c.refitted, c.after),) if c.refitted is not None and c.after is not None else ()
 
 
-def _squares(curve: Curve, pairs: Sequence[tuple[Prediction, Prediction]]) -> tuple[float, float]:
-    """Squares of both models' errors, the mean over the ways in which the condition was left out."""
-    each = [[_square(curve, curve.predict(p) - curve.measured) for p in pair] for pair in pairs]
-    before, after = np.mean(each, axis=0)
-    return float(before), float(after)
+def _squares(curve: Curve, models: Sequence[Models]) -> list[float]:
+    """Squares of each model's error, the mean over the ways in which the condition was left out."""
+    each = [[_square(curve, curve.predict(p) - curve.measured) for p in own] for own in models]
+    return [float(x) for x in np.mean(each, axis=0)]
 
 
 def _square(curve: Curve, values: Complex | Real) -> float:
@@ -133,25 +147,26 @@ def _square(curve: Curve, values: Complex | Real) -> float:
 
 def _dataset(
     kind: Kind,
-    rows: Sequence[tuple[Compared, Curve, Sequence[tuple[Prediction, Prediction]]]],
+    rows: Sequence[tuple[Compared, Curve, Sequence[Models]]],
     misfits: Mapping[str, ConditionMisfit],
     repaired: bool,
 ) -> xr.Dataset:
     entries = tuple(dict.fromkeys(e for _, curve, _ in rows for e in curve.entries))
     shape = (len(rows), max(curve.over.size for _, curve, _ in rows), len(entries))
     number = np.complex64 if kind is COMPLIANCE else np.float32
-    found = {name: np.full(shape, np.nan, dtype=number) for name in ("measured", "baseline", "extended")}
+    found = {name: np.full(shape, np.nan, dtype=number) for name in ("measured", *MODELS)}
     over, velocity = (np.full(shape[:2], np.nan, dtype=np.float32) for _ in range(2))
-    for i, (_, curve, pairs) in enumerate(rows):
+    for i, (_, curve, models) in enumerate(rows):
         n, places = curve.over.size, [entries.index(e) for e in curve.entries]
         over[i, :n] = curve.over
         if curve.velocity is not None:
             velocity[i, :n] = curve.velocity
-        models = (curve.measured, *(curve.predict(p) for p in pairs[0]))
-        for values, y in zip(found.values(), models, strict=True):
+        shown = (curve.measured, *(curve.predict(p) for p in models[0]))
+        for values, y in zip(found.values(), shown, strict=True):
             values[i, :n, places] = y.T
     errors = {
         "error_baseline": [misfits[c.condition.name].error_before for c, _, _ in rows],
+        "error_refitted": [misfits[c.condition.name].error_refitted for c, _, _ in rows],
         "error_extended": [misfits[c.condition.name].error_after for c, _, _ in rows],
     }
     if not repaired:

@@ -6,35 +6,53 @@ import math
 import re
 
 from smfe.diagnosis.frf.axis import MachineFrfs
-from smfe.diagnosis.frf.noise import excited_of
+from smfe.diagnosis.frf.noise import Excited, excited_of
 from smfe.diagnosis.inference.problem import Condition, Family
 from smfe.diagnosis.story.words import rounded
 
 _PHRASES = (
-    (r"the first condition once more, at the end", "Repeat the first measurement at the end"),
-    (r"motion along x, y, z under forces along x, y, z", "Excite and measure along x, y and z"),
-    (r"a free mass of (\S+ kg) in the machine's place", r"Measure a free mass of \1 in the machine's place"),
-    (r"a laser in the accelerometer's place", "Repeat the first measurement with a laser in the accelerometer's place"),
-    (r"a second accelerometer beside it", "Repeat the first measurement with a second accelerometer beside the first"),
-    (r"level (\S+)", r"Repeat the first measurement at the level \1 (N s of a hammer, N of an actuator)"),
-    (r"position (\S+ m), at the end", r"Measure at the position \1, at the end"),
-    (r"a turning spindle", "Measure with the spindle turning"),
+    (r"the first condition once more, at the end", "Repeat {first} at the end of the session"),
+    (
+        r"motion along x, y, z under forces along x, y, z",
+        "Repeat {first} in all directions: excite and measure x, y, z",
+    ),
+    (r"a free mass of (\S+ kg) in the machine's place", r"Hang up a free mass of \1, and measure it as {first}"),
+    (r"a laser in the accelerometer's place", "Repeat {first} with a laser in the accelerometer's place"),
+    (r"a second accelerometer beside it", "Repeat {first} with a second accelerometer beside the first"),
+    (r"level (\S+)", "Repeat {first} at {level}"),
+    (r"position (\S+) m, at the end", "Repeat {first} at {place} of the stroke, at the end of the session"),
+    (r"a turning spindle", "Repeat {first} with the spindle turning at {speed}"),
     (r"moves (.*)", r"Move the axis from rest to rest, ten times or more, \1"),
     (r"cut at (.*)", r"Make a cut at \1"),
     (r"spindle in air at (.*)", r"Record the forces with the spindle turning in air at \1"),
     (r"limit at (.*), (\S+ mm) per tooth", r"Find the limit at \1 and \2 per tooth: cut deeper by 4 to 6 % at a time"),
 )
-"""Name of a proposed condition -> what to do."""
+"""Name of a proposed condition -> what to do; ``{first}`` is the measurement that it repeats."""
 
 
 def instruction(family: Family, condition: Condition) -> str:
     """Return what to do to measure a proposed condition, without a full stop."""
     if isinstance(family, MachineFrfs):
         return _at_an_axis(family, condition)
-    for pattern, words in _PHRASES:
+    settings = condition.settings
+    words = {
+        "first": condition.source.replace("_", " ") or "the first measurement",
+        "level": _level(condition),
+        "place": f"{1e3 * float(settings.get('position', 0.0)):.4g} mm",
+        "speed": f"{float(settings.get('spindle_speed', 0.0)) * 30.0 / math.pi:.4g} rpm",
+    }
+    for pattern, said in _PHRASES:
         if found := re.fullmatch(pattern, condition.name):
-            return found.expand(words)
+            return found.expand(said).format_map(words)
     return condition.name[:1].upper() + condition.name[1:]
+
+
+def _level(condition: Condition) -> str:
+    """Return how hard a proposed condition hits or shakes."""
+    if not isinstance(condition.data, Excited):
+        return "another level"
+    hammer = condition.data.method == "hammer"
+    return f"{rounded(abs(condition.data.level), 2)} {'N s a hit' if hammer else 'N'}"
 
 
 def _at_an_axis(family: MachineFrfs, condition: Condition) -> str:

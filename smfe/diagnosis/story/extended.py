@@ -176,10 +176,43 @@ def _write_axis(draft: _Draft, campaign: Campaign, family: MachineFrfs, values: 
     elif told:
         table["controllers"] = told
     draft.tables["baseline"] = table
+    _put_axis(draft, baseline.axis, table, told)
     held = ("guideway_friction", "friction_asymmetry", "servo_gains", "loop_delay")
     draft.held |= {c.key for c in family.causes if c.id in held}
     if isinstance(family, AxisEvidence) and family.cuts is not None:
         _put_material(draft, material_of(family.cuts.coefficients, values))
+
+
+_OF_LOBES = ("cut", "width_of_cut", "feed_per_tooth", "spindle_speed", "maximum_depth", "controller")
+"""Keys of ``[[lobes]]`` that those of the machine of the extended model share with what was asked for."""
+
+
+def _put_axis(draft: _Draft, axis: str, table: Mapping[str, Any], controllers: Mapping[str, Any]) -> None:
+    """Write an axis as ``[machine.axis]`` too, and ask for the lobes of that machine beside those of measurements.
+
+    A machine that the campaign gives already has this axis in place of its own, or stays what it is.
+    """
+    machine = dict(draft.tables.get("machine", {}))
+    axes = dict(machine.get("axis", {}))
+    if machine and (axis not in axes or "modes" in machine):
+        return
+    own = {key: table[key] for key in ("moving_mass", "tip_mass", "stiffness", "damping", "friction")}
+    named = {name or "control": gains for name, gains in controllers.items()}
+    axes[axis] = own | ({"controllers": named} if named else {})
+    draft.tables["machine"] = {**machine, "axis": axes}
+    asked = draft.tables.get("lobes", [])
+    if asked and not any("machine" in lobes.get("measurements", []) for lobes in asked):
+        draft.tables["lobes"] = [
+            *asked,
+            *(
+                {
+                    **{key: lobes[key] for key in _OF_LOBES if key in lobes},
+                    "measurements": ["machine"],
+                    "method": "operating_point",
+                }
+                for lobes in asked
+            ),
+        ]
 
 
 def _friction(sides: tuple[Side, Side]) -> dict[str, Any]:

@@ -32,7 +32,7 @@ from smfe.diagnosis.drive.record import DriveRecordFamily
 from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline
 from smfe.diagnosis.frf.modes import AS_FIRST, ModalFrfs, Standing
-from smfe.diagnosis.frf.noise import kept
+from smfe.diagnosis.frf.noise import Excited, kept
 from smfe.diagnosis.inference.problem import Family, Values
 from smfe.diagnosis.judgement.finding import Pocket, StableDepth
 from smfe.diagnosis.machine.family import MachineOfAxes
@@ -139,17 +139,81 @@ def given_values(family: Family) -> dict[str, float]:
     return {p.name: p.start for p in (*family.nuisances, *(p for c in family.causes for p in c.parameters))}
 
 
+@dataclass(frozen=True)
+class Stands:
+    """How the machine may stand in the cut, as it was measured: at either end of the stroke, late, hardest shaken."""
+
+    first_place: float = 0.0  # where it was measured first [m]
+    every: tuple[Standing, ...] = (AS_FIRST,)  # that it was first measured in comes first
+
+    def words(self, standing: Standing) -> str:
+        """Return how the machine stands, for people; of the first all that the others change."""
+        if standing != AS_FIRST:
+            if standing.position is not None:
+                return _at_place(standing.position)
+            return "at the end of the session" if standing.order > 0.0 else "at the highest level"
+        return ", ".join(
+            words
+            for words, changed in (
+                (_at_place(self.first_place), any(s.position is not None for s in self.every)),
+                ("at the beginning of the session", any(s.order > 0.0 for s in self.every)),
+                ("at the lowest level", any(s.hardest for s in self.every)),
+            )
+            if changed
+        )
+
+
+def _at_place(position: float) -> str:
+    return f"at {1e3 * position:.4g} mm of the stroke"
+
+
+def stands_of(family: Family) -> Stands:
+    """Return how the machine of a family may stand in the cut: for modes and for an axis, else as it is."""
+    if not isinstance(family, MachineFrfs | ModalFrfs):
+        return Stands()
+    measured = [c for c in family.conditions if isinstance(c.data, Excited)]
+    places = [float(c.settings["position"]) for c in measured if "position" in c.settings]
+    first = places[0] if places else 0.0
+    if isinstance(family, ModalFrfs):
+        return Stands(first, family.standings)
+    found = [Standing(position=p) for p in sorted({min(places, default=first), max(places, default=first)} - {first})]
+    latest = max((float(c.settings.get("order", 0.0)) for c in measured), default=0.0)
+    return Stands(first, (AS_FIRST, *found, *([Standing(order=latest)] if latest > 0.0 else [])))
+
+
 def stable_depths(
-    campaign: Campaign, depths: Depths, values: Values, before: Values | None = None, most: int = SPEEDS
+    campaign: Campaign,
+    depths: Depths,
+    values: Values,
+    before: Values | None = None,
+    most: int = SPEEDS,
+    stands: Stands = Stands(),
 ) -> tuple[StableDepth, ...]:
-    """Return the limit depths that a campaign asks for, before and after, where depths follow from values."""
+    """Return the limit depths that a campaign asks for, before and after, where depths follow from values.
+
+    Those of lobes are given however the machine may stand in the cut, as far as that changes them; those of cutting
+    tests, of which nobody says where they were made, as it was first measured.
+    """
     assert campaign.tool is not None
     found = []
+    requests = {r.name for r in campaign.lobes}
     for a in asked(campaign, most):
-        rows = zip(a.speeds, depths(before, a), depths(values, a), strict=True)
         feed = 1e3 * a.feed_per_tooth * campaign.tool.teeth
-        found += [StableDepth(a.where, rpm, feed * rpm, one, two) for rpm, one, two in rows]
+        kept_rows: dict[Standing, tuple[tuple[float, float], ...]] = {}
+        for standing in stands.every if a.where in requests else (AS_FIRST,):
+            there = replace(a, standing=standing)
+            rows = tuple(zip(depths(before, there), depths(values, there), strict=True))
+            if not kept_rows or not _alike(rows, kept_rows[AS_FIRST]):
+                kept_rows[standing] = rows
+        shown = replace(stands, every=tuple(kept_rows))
+        for standing, rows in kept_rows.items():
+            words = shown.words(standing)
+            found += [StableDepth(a.where, n, feed * n, *both, words) for n, both in zip(a.speeds, rows, strict=True)]
     return tuple(found)
+
+
+def _alike(rows: Sequence[tuple[float, float]], others: Sequence[tuple[float, float]]) -> bool:
+    return bool(np.allclose(rows, others, rtol=1e-3, atol=1e-6))
 
 
 def cost_of(
@@ -158,13 +222,13 @@ def cost_of(
     """Return a function of two sets of values (SI): the change of the limit depths that were asked for [1].
 
     It is the larger of that of the least depth over all speeds and of the rms over the speeds of the relative changes,
-    each counted as 100 % at most: a lobe that moves by a little changes single speeds a lot. Of modes it is the largest
-    over all places, times and levels at which they were measured (`ModalFrfs.standings`): a stiffness that depends on
-    the position changes nothing at the first of them. It returns None where no cut is given, or no depth follows.
+    each counted as 100 % at most: a lobe that moves by a little changes single speeds a lot. It is the largest over all
+    places, times and levels at which the machine was measured (`stands_of`): a stiffness that depends on the position
+    changes nothing at the first of them. It returns None where no cut is given, or no depth follows.
     """
     depths, _ = depths_of(campaign, family, compliances)
     cuts = [] if depths is None else list(asked(campaign, FEW_SPEEDS))
-    standings = family.standings if isinstance(family, ModalFrfs) else (AS_FIRST,)
+    standings = stands_of(family).every
     every: dict[tuple[float, ...], Real] = {}
 
     def of(values: Values) -> Real:
@@ -217,11 +281,12 @@ def pockets(campaign: Campaign, rows: Sequence[StableDepth]) -> tuple[Pocket, ..
     """Return of each request the speed at which most is removed, by the simulation and by the extended model.
 
     A speed counts with the smallest depth of itself and its neighbours, a step of the request to either side. A
-    request at fewer than three speeds has none, and none where a depth has no limit there.
+    request at fewer than three speeds has none, and none where a depth has no limit there. Where the depth depends on
+    how the machine stands, the smallest counts: a pocket has to hold over the stroke and the session.
     """
     found = []
     for request in campaign.lobes:
-        own = [r for r in rows if r.where == request.name]
+        own = _smallest([r for r in rows if r.where == request.name])
         if len(own) < 3 or campaign.tool is None:
             continue
         speed = np.array([r.spindle_speed_rpm for r in own])
@@ -244,6 +309,16 @@ def pockets(campaign: Campaign, rows: Sequence[StableDepth]) -> tuple[Pocket, ..
     return tuple(found)
 
 
+def _smallest(rows: Sequence[StableDepth]) -> list[StableDepth]:
+    """Return the smallest depths at each speed, however the machine stands."""
+    found: dict[float, StableDepth] = {}
+    for r in rows:
+        other = found.get(r.spindle_speed_rpm, r)
+        least = min(r.before_mm, other.before_mm), min(r.after_mm, other.after_mm)
+        found[r.spindle_speed_rpm] = replace(r, before_mm=least[0], after_mm=least[1], at="")
+    return list(found.values())
+
+
 def _with_neighbours(depth: Sequence[float]) -> Real:
     d = np.concatenate([[math.inf], depth, [math.inf]])
     return np.asarray(np.minimum(np.minimum(d[:-2], d[1:-1]), d[2:]))
@@ -258,21 +333,29 @@ def _of_axis(campaign: Campaign, family: MachineFrfs) -> Depths:
     start = {p.name: p.start for p in (*baseline.nuisances(), *(p for c in baseline.causes() for p in c.parameters))}
     axis, high = baseline.axis, _REACH * baseline.drive.locked_frequency
     controller = _controller(campaign, baseline)
+    first = stands_of(family).first_place
+    found: dict[tuple[object, ...], float] = {}
 
     def depths(values: Values | None, a: Asked) -> list[float]:
-        found, material = [], material_of(given, values or {})
-        for rpm in a.speeds:
+        v, material = start if values is None else values, material_of(given, values or {})
+        place = first if a.standing.position is None else a.standing.position
+        settings = {"position": place, "order": a.standing.order}
+
+        def at(rpm: float) -> float:
             feed = a.feed_per_tooth * tool.teeth * rpm / 60.0
-            point = baseline.machine(baseline.effective(start if values is None else values, {}, feed)).at(
-                {axis: feed}, controller
-            )
-            if point.unstable_poles() > 0:
-                found.append(0.0)
-                continue
-            phi = point.compliance(np.arange(_LOWEST, high, _STEP), [axis], [axis])
-            limit = zero_order(phi, tool, a.arc(tool), material, [rpm], a.flank)["limit_depth"]
-            found.append(float(limit.values[0]))
-        return found
+            machine = baseline.effective(v, settings, feed)
+
+            def make() -> float:
+                point = baseline.machine(machine).at({axis: feed}, controller)
+                if point.unstable_poles() > 0:
+                    return 0.0
+                phi = point.compliance(np.arange(_LOWEST, high, _STEP), [axis], [axis])
+                return float(zero_order(phi, tool, a.arc(tool), material, [rpm], a.flank)["limit_depth"].values[0])
+
+            # Most machines are the same at every place and at any time.
+            return kept(found, (machine, material, a.where, rpm), make, SPEEDS * DEPTHS_KEPT)
+
+        return [at(rpm) for rpm in a.speeds]
 
     return depths
 

@@ -8,12 +8,13 @@ terminal and in ``finding.json``.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from smfe.diagnosis.checks.suspect import Suspect
 from smfe.diagnosis.inference.thresholds import Detectable
 from smfe.diagnosis.judgement.finding import (
+    BaselineParameter,
     Finding,
     ForetoldCut,
     FoundCause,
@@ -43,6 +44,7 @@ _MOST_GIVEN = 6  # of what was declared rightly
 _REVEALED = 2
 _MOVED = 0.005  # relative change of the best speed that is said
 _TELLING, _NORMAL = 0.9, 1.96  # an interval by how much narrower than the prior says something
+_REPLACED = 0.5  # relative change of a dashpot that is said
 _LITTLE = 0.005  # share of the repeatable error that a sentence calls little
 
 
@@ -202,7 +204,7 @@ def _gain(finding: Finding) -> str:
     if finding.errors:
         unseen = [e for e in finding.errors if e.tested != "fitted"]
         proof = "" if unseen else "; no measurement could be left out of the fit to prove it"
-        return f"{them} {_fall((unseen or finding.errors)[0])}{proof}."
+        return f"{them} {_fall((unseen or finding.errors)[0], len(finding.causes) == 1)}{proof}."
     gain = finding.held_out_gain or finding.gain
     if gain is not None:
         where = "set aside" if finding.held_out_gain is not None else "left out of the fit in turn"
@@ -210,7 +212,8 @@ def _gain(finding: Finding) -> str:
     return ""
 
 
-def _fall(e: ModelError) -> str:
+def _fall(e: ModelError, alone: bool) -> str:
+    """Say from where to where the error goes: from that of the simulation as declared."""
     one = e.of.removesuffix("s")
     the = f"the {one}" if e.count == 1 else f"the {count_words(e.count, one)}"
     some = count_words(e.count, one)
@@ -220,12 +223,27 @@ def _fall(e: ModelError) -> str:
         "fitted": f"{the} that {'was' if e.count == 1 else 'were'} fitted",
     }[e.tested]
     falls = "falls" if e.after < e.before else "rises"
-    return f"the error on {where} {falls} from {percent(e.before)} to {percent(e.after)} % ({e.gain_db:.0f} dB)"
+    said = f"the error on {where} {falls} from {percent(e.before)} % as declared to {percent(e.after)} %"
+    said += f" ({e.gain_db:.0f} dB)" if e.after < e.before else ""
+    if e.refitted is None or not _apart(e.refitted, e.before):
+        return said
+    return f"{said}; refitted without {'it' if alone else 'them'} the simulation is {percent(e.refitted)} % wrong there"
+
+
+def _apart(one: float, other: float) -> bool:
+    """Whether two errors differ by more than a decibel."""
+    return abs(20.0 * math.log10(max(one, 1e-12) / max(other, 1e-12))) > 1.0
 
 
 def _error_now(finding: Finding) -> str:
-    error = next(iter(finding.errors), None)
-    return "" if error is None else f" (error {percent(error.before)} %)"
+    """Return the error of a simulation that no cause was added to, as declared and with its values fitted."""
+    e = next(iter(finding.errors), None)
+    if e is None:
+        return ""
+    if e.refitted is None or not _apart(e.refitted, e.before):
+        return f" (error {percent(e.before)} %)"
+    within = "within their tolerances" if finding.verdict == "consistent" else "to the data"
+    return f" (error {percent(e.before)} % as declared, {percent(e.refitted)} % with its values fitted {within})"
 
 
 def _part(finding: Finding) -> str:
@@ -264,10 +282,16 @@ def _causes(finding: Finding, setting: Setting) -> Iterator[str]:
         if len(alike) > 1:
             yield (
                 f"These measurements do not tell which of them it is: {listed([_title(c) for c in alike], 'or')}. The "
-                "numbers of each are those that it would have alone."
+                f"numbers of each are those that it would have alone.{_separated(finding)}"
             )
     for group in finding.alternatives:
         yield f"These measurements do not separate {listed([_title(c) for c in group], 'from')}."
+
+
+def _separated(finding: Finding) -> str:
+    """Say whether the next experiment tells which of a set it is."""
+    n = finding.next_experiment
+    return " The experiment proposed below separates them." if n is not None and n.between else ""
 
 
 def sets_of(causes: Sequence[FoundCause]) -> list[list[FoundCause]]:
@@ -303,13 +327,18 @@ def _title(cause: FoundCause) -> str:
 
 def _own_parameters(finding: Finding, setting: Setting) -> Iterator[str]:
     told = {g.name for g in finding.given}
-    moved = [p for p in finding.baseline if p.beyond_prior and p.name not in told]
+    moved = [p for p in finding.baseline if p.name not in told and (p.beyond_prior or _replaced(p))]
     if moved:
         said = [
             f"{parameter_words(p.name)} {rounded(p.fitted)}{unit_text(p.unit)} in place of {rounded(p.given)}"
             for p in moved
         ]
         yield f"The measurements ask for other values than the campaign gives: {listed(said)}."
+
+
+def _replaced(p: BaselineParameter) -> bool:
+    """Whether something that is declared with much doubt has become another number: viscous friction beside dry one."""
+    return p.name in ("viscous", "damping") and p.given > 0.0 and abs(p.fitted / p.given - 1.0) > _REPLACED
 
 
 def _to_do(finding: Finding, setting: Setting) -> Iterator[str]:
@@ -326,8 +355,15 @@ def _depths(finding: Finding, setting: Setting) -> Iterator[str]:
     if finding.tested_depth:
         yield _tests(finding.tested_depth)
     for where in dict.fromkeys(row.where for row in finding.stable_depth if row.where not in tests):
-        rows = [row for row in finding.stable_depth if row.where == where]
+        by_standing: dict[str, list[StableDepth]] = {}
+        for row in finding.stable_depth:
+            if row.where == where:
+                by_standing.setdefault(row.at, []).append(row)
+        # The worst is the headline: what is cut has to be stable over the stroke and the session.
+        rows = min(by_standing.values(), key=lambda own: min(r.after_mm for r in own))
         yield _over_speeds(rows) if len(rows) > 1 else _at(rows[0])
+        if len(by_standing) > 1:
+            yield _by_standing(by_standing)
     for p in finding.pockets:
         yield _pocket(p, len(finding.pockets) > 1)
     if finding.no_depth:
@@ -377,8 +413,9 @@ def _depth(mm: float) -> str:
 def _over_speeds(rows: Sequence[StableDepth]) -> str:
     low, high = min(r.spindle_speed_rpm for r in rows), max(r.spindle_speed_rpm for r in rows)
     before, after = min(rows, key=lambda r: r.before_mm), min(rows, key=lambda r: r.after_mm)
+    stands = f"{_capital(rows[0].at)}, from" if rows[0].at else "From"
     said = (
-        f"From {low:.0f} to {high:.0f} rpm the smallest stable depth is {_depth(after.after_mm)} (at "
+        f"{stands} {low:.0f} to {high:.0f} rpm the smallest stable depth is {_depth(after.after_mm)} (at "
         f"{after.spindle_speed_rpm:.0f} rpm) with the extended model, {_depth(before.before_mm)} (at "
         f"{before.spindle_speed_rpm:.0f} rpm) with the simulation."
     )
@@ -396,15 +433,28 @@ def _over_speeds(rows: Sequence[StableDepth]) -> str:
     return said
 
 
+def _by_standing(rows: Mapping[str, Sequence[StableDepth]]) -> str:
+    """Say what the smallest depth is wherever, whenever and however hard shaken the machine cuts."""
+    after = [f"{_depth(min(r.after_mm for r in own))} {at}" for at, own in rows.items()]
+    before = {_depth(min(r.before_mm for r in own)): at for at, own in rows.items()}
+    given = (
+        [f"{depth} {at}" for depth, at in before.items()] if len(before) > 1 else [f"{next(iter(before))} throughout"]
+    )
+    return (
+        f"The smallest stable depth with the extended model is {listed(after)}; the simulation gives {listed(given)}."
+    )
+
+
 def _at(row: StableDepth) -> str:
+    speed = f"At {row.spindle_speed_rpm:.0f} rpm" + (f", {row.at}," if row.at else "")
     if row.after_mm == 0.0 < row.before_mm:
         return (
-            f"At {row.spindle_speed_rpm:.0f} rpm the axis vibrates without any cut by the extended model; the "
-            f"simulation gives {_depth(row.before_mm)}."
+            f"{speed} the axis vibrates without any cut by the extended model; the simulation gives "
+            f"{_depth(row.before_mm)}."
         )
     return (
-        f"At {row.spindle_speed_rpm:.0f} rpm the stable depth is {_depth(row.after_mm)} with the extended model, "
-        f"{_depth(row.before_mm)} with the simulation."
+        f"{speed} the stable depth is {_depth(row.after_mm)} with the extended model, {_depth(row.before_mm)} with the "
+        "simulation."
     )
 
 
@@ -413,6 +463,10 @@ def _at(row: StableDepth) -> str:
 
 def _next(finding: Finding, setting: Setting) -> Iterator[str]:
     n = finding.next_experiment
+    for alike in sets_of(finding.causes):
+        if len(alike) > 1 and not (n is not None and n.between):
+            them = listed([_title(c) for c in alike], "from")
+            yield f"No experiment proposed here tells {them}: {_known_apart(alike)}."
     if n is None:
         if finding.verdict == "ambiguous":
             yield "None of the proposed experiments would settle it."
@@ -435,6 +489,16 @@ def _next(finding: Finding, setting: Setting) -> Iterator[str]:
         )
     else:
         yield f"Next: {do}{price}; {n.expected}."
+
+
+def _known_apart(alike: Sequence[FoundCause]) -> str:
+    """Return what tells causes apart that no further measurement of the machine does."""
+    if any(c.id == "sensor_gain" for c in alike):
+        return (
+            "calibrate the sensor with a known weight or a known mass, put what it says into scale of [channels] and "
+            "sensor_gain of [tolerances], and diagnose again"
+        )
+    return "find out one of them by itself, state it with its uncertainty in the campaign, and diagnose again"
 
 
 def _power(finding: Finding, setting: Setting) -> Iterator[str]:

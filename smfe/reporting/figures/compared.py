@@ -1,6 +1,7 @@
 """What a diagnosis compared, as panels that either renderer draws: measured, simulation, extended model, what is left.
 
-The curves are those of ``finding.nc`` (`smfe.diagnosis.story.curves`); nothing is computed anew.
+The simulation is drawn as the campaign declares it; beside it, where no cause extends it, the best that it can do. The
+curves are those of ``finding.nc`` (`smfe.diagnosis.story.curves`); nothing is computed anew.
 """
 
 from __future__ import annotations
@@ -13,11 +14,21 @@ import xarray as xr
 from process.types import Complex, Real
 from smfe.diagnosis.story.words import percent
 
-MEASURED, SIMULATION, EXTENDED = "measured", "simulation", "extended model"
-WORDS = {"measured": MEASURED, "baseline": SIMULATION, "extended": EXTENDED}
+MEASURED, SIMULATION, REFITTED, EXTENDED = (
+    "measured",
+    "simulation as declared",
+    "simulation, refitted",
+    "extended model",
+)
+WORDS = {"measured": MEASURED, "baseline": SIMULATION, "refitted": REFITTED, "extended": EXTENDED}
 """Variable of the curves -> what it is called."""
 
-LOOKS = {MEASURED: ("#000000", "solid", 2.4), SIMULATION: ("#B35C00", "dash", 1.8), EXTENDED: ("#0072B2", "dot", 2.2)}
+LOOKS = {
+    MEASURED: ("#000000", "solid", 2.4),
+    SIMULATION: ("#B35C00", "dash", 1.8),
+    REFITTED: ("#009E73", "dot", 2.2),
+    EXTENDED: ("#0072B2", "dot", 2.2),
+}
 """Colour, dash and width of each line."""
 
 MOST = 6
@@ -71,7 +82,9 @@ def blocks(curves: xr.Dataset | None) -> tuple[Block, ...]:
 
 
 def _models(curves: xr.Dataset) -> list[str]:
-    return [name for name in ("baseline", "extended") if name in curves]
+    """Return the models that are drawn: as declared, and the best of the others."""
+    best = "extended" if "extended" in curves else "refitted"
+    return [name for name in ("baseline", best) if name in curves]
 
 
 def _shown(curves: xr.Dataset) -> list[xr.Dataset]:

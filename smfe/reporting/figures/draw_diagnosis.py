@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from smfe.reporting.content.style import literal
 from smfe.reporting.figures import figure_data
-from smfe.reporting.figures.compared import LOOKS, Block, Panel, blocks
+from smfe.reporting.figures.compared import LOOKS, MEASURED, SIMULATION, Block, Panel, blocks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,7 +49,7 @@ def _draw(axes: Axes, panel: Panel) -> None:
     for line in panel.lines:
         colour, dash, width = LOOKS[line.word]
         if line.marks:
-            mark = "o" if line.word == "measured" else "x" if line.word == "simulation" else "."
+            mark = {MEASURED: "o", SIMULATION: "x"}.get(line.word, ".")
             axes.plot(line.x, line.y, mark, color=colour, markersize=4, label=line.word)
         else:
             axes.plot(line.x, line.y, _DASHES[dash], color=colour, linewidth=0.8 * width, label=line.word)
@@ -91,7 +91,7 @@ def _lines(name: str) -> list[str]:
 def _draw_steps(axes: Axes, finding: Mapping[str, Any]) -> None:
     names, heights = figure_data.search_steps(finding)
     places = range(len(names))
-    axes.barh(places, heights, color=[figure_data.BASELINE, *[figure_data.EXTENDED] * (len(names) - 1)], height=0.6)
+    axes.barh(places, heights, color=figure_data.step_colours(names), height=0.6)
     for place, height in zip(places, heights, strict=True):
         axes.text(max(height, 0.0), place, f" {height:.1f} dB", va="center")
     axes.set_yticks(list(places), ["\n".join(_lines(name)) for name in names])

@@ -18,6 +18,8 @@ from scipy.signal import find_peaks
 from process.types import Complex, Real
 from smfe.reporting.content.results import Lobes, Measurement, bands
 from smfe.reporting.content.style import CHATTER, CURVE_COLOURS, number
+from smfe.reporting.figures.compared import EXTENDED as EXTENDED_MODEL
+from smfe.reporting.figures.compared import REFITTED, SIMULATION
 
 # --- lobes and cutting tests -----------------------------------------------------------------------------------------
 
@@ -335,18 +337,32 @@ def open_loop_marks(groups: Mapping[str, xr.Dataset], name: str) -> dict[str, fl
 BASELINE, EXTENDED = "#B35C00", "#0072B2"
 """Colours of the two models."""
 
+STARTS = ((SIMULATION, "before"), (REFITTED, "refitted"))
+"""Where the search begins, and the key of the misfit there."""
+
 MOST_CONDITIONS = 30
 """Conditions that are drawn, at most: those of which the extended model leaves most."""
 
 
 def search_steps(finding: Mapping[str, Any]) -> tuple[list[str], list[float]]:
-    """Return the baseline and the steps that were kept, with their misfit over noise [dB]."""
-    before = (finding.get("misfit_db") or {}).get("before")
+    """Return the simulation, as declared and refitted, and the steps that were kept, with their misfit [dB].
+
+    Where nothing was added to it, it stands alone; where what was declared alone is wrong, no step but the end.
+    """
+    misfit = finding.get("misfit_db") or {}
+    begun = [(name, float(misfit[key])) for name, key in STARTS if misfit.get(key) is not None]
     kept = [step for step in finding.get("ladder", []) if step["accepted"]]
-    if before is None:
-        return [], []
-    names = ["simulation", *(str(step.get("words") or step["change"]) for step in kept)]
-    return names, [float(before), *(float(step["misfit_db"]) for step in kept)]
+    steps = [(str(step.get("words") or step["change"]), float(step["misfit_db"])) for step in kept]
+    if not steps and finding.get("causes") and misfit.get("after") is not None:
+        steps = [(EXTENDED_MODEL, float(misfit["after"]))]
+    rows = [*begun, *steps] if steps else begun[:1]
+    return [name for name, _ in rows], [x for _, x in rows]
+
+
+def step_colours(names: Sequence[str]) -> list[str]:
+    """Return the colour of each step: that of the simulation, or of the extended model."""
+    simulations = [name for name, _ in STARTS]
+    return [BASELINE if name in simulations else EXTENDED for name in names]
 
 
 def shown_conditions(finding: Mapping[str, Any]) -> tuple[list[Mapping[str, Any]], str]:
@@ -362,9 +378,9 @@ def shown_conditions(finding: Mapping[str, Any]) -> tuple[list[Mapping[str, Any]
 def condition_marks(finding: Mapping[str, Any]) -> list[tuple[str, str, bool, list[int], list[float]]]:
     """Return name, colour, whether held out, place and misfit [dB] of the marks of the conditions drawn."""
     rows, _ = shown_conditions(finding)
-    models = [("before_db", BASELINE, "simulation")]
+    models = [("before_db", BASELINE, SIMULATION)]
     if finding.get("causes"):
-        models.append(("after_db", EXTENDED, "extended model"))
+        models.append(("after_db", EXTENDED, EXTENDED_MODEL))
     out = []
     for key, colour, word in models:
         for held_out in sorted({bool(c["held_out"]) for c in rows}):
@@ -375,17 +391,26 @@ def condition_marks(finding: Mapping[str, Any]) -> list[tuple[str, str, bool, li
 
 
 def stable_depths(finding: Mapping[str, Any]) -> list[tuple[str, str, str, Real, Real]]:
-    """Return lobes, model, colour, spindle speeds [rpm] and stable depths [mm], baseline before extended model."""
-    found: dict[str, list[Mapping[str, Any]]] = {}
+    """Return lobes, model, colour, spindle speeds [rpm] and stable depths [mm], baseline before extended model.
+
+    Where the depth depends on how the machine stands, those at which it is smallest.
+    """
+    found: dict[str, dict[str, list[Mapping[str, Any]]]] = {}
     for row in finding.get("stable_depth", []):
-        found.setdefault(str(row["where"]), []).append(row)
+        found.setdefault(str(row["where"]), {}).setdefault(str(row.get("at", "")), []).append(row)
     out = []
-    for where, rows in found.items():
+    for where, by_standing in found.items():
+        at, rows = min(by_standing.items(), key=lambda item: min(_limit(r["after_mm"]) for r in item[1]))
+        where = f"{where}, {at}" if at else where
         speeds = np.array([float(r["spindle_speed_rpm"]) for r in rows])
-        for key, colour, word in (("before_mm", BASELINE, "simulation"), ("after_mm", EXTENDED, "extended model")):
+        for key, colour, word in (("before_mm", BASELINE, SIMULATION), ("after_mm", EXTENDED, EXTENDED_MODEL)):
             depths = np.array([np.nan if r[key] is None else float(r[key]) for r in rows])
             out += [(where, word, colour, speeds, depths)] * (len(rows) > 1)
     return out
+
+
+def _limit(depth: float | None) -> float:
+    return math.inf if depth is None else float(depth)
 
 
 def condition_symbol(name: str) -> str:

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from smfe.reporting.figures import figure_data
-from smfe.reporting.figures.compared import LOOKS, Block
+from smfe.reporting.figures.compared import EXTENDED, LOOKS, MEASURED, REFITTED, SIMULATION, Block
 from smfe.reporting.figures.plotly_frame import Figure, axis_look, base_layout, log_axis, on_panel, packed, plain
 
 _GAP = 0.07
-_MARKS = {"measured": "circle", "simulation": "x", "extended model": "circle-open"}
+_MARKS = {MEASURED: "circle", SIMULATION: "x", REFITTED: "circle-open", EXTENDED: "circle-open"}
 
 
 def compared_figure(block: Block) -> Figure:

@@ -11,8 +11,11 @@ from smfe.diagnosis.story.words import in_words, parameter_words, percent, round
 from smfe.reporting.content.style import number, spoken
 from smfe.reporting.content.tables import Row, Table
 from smfe.reporting.figures.compared import blocks
+from smfe.reporting.figures.figure_data import STARTS
 from smfe.reporting.figures.plotly_diagnosis import compared_figure, condition_figure, stable_depth_figure
 from smfe.reporting.sections.draft import Draft
+
+_ERRORS = ("error_before", "error_refitted", "error_after")
 
 _WORDS = {
     "consistent": "nothing is wrong",
@@ -85,11 +88,11 @@ def _given(finding: Mapping[str, Any]) -> Table | None:
 
 def _ladder(finding: Mapping[str, Any]) -> Table | None:
     """Return the steps that were kept: what is left after each, over noise, and what it gains on what was left out."""
-    before = (finding.get("misfit_db") or {}).get("before")
+    misfit = finding.get("misfit_db") or {}
     kept = [step for step in finding.get("ladder", []) if step["accepted"]]
-    if before is None or not kept:
+    if not kept:
         return None
-    rows = [Row(("simulation", _tenths(before), ""))]
+    rows = [Row((name, _tenths(misfit[key]), "")) for name, key in STARTS if misfit.get(key) is not None]
     for step in kept:
         gain = "" if step["gain_db"] is None else _tenths(step["gain_db"])
         rows.append(Row((str(step.get("words") or step["change"]), _tenths(step["misfit_db"]), gain)))
@@ -106,8 +109,8 @@ def _conditions(finding: Mapping[str, Any]) -> Table | None:
             (
                 spoken(str(c["name"])),
                 "set aside" if c["held_out"] else "left out" if c.get("unseen") else "fitted",
-                *("–" if c.get(k) is None else percent(c[k]) for k in ("error_before", "error_after")),
-                *("–" if c[k] is None else _tenths(c[k]) for k in ("before_db", "after_db")),
+                *("–" if c.get(k) is None else percent(c[k]) for k in _ERRORS),
+                *("–" if c.get(k) is None else _tenths(c[k]) for k in ("before_db", "refitted_db", "after_db")),
             )
         )
         for c in finding.get("conditions", [])
@@ -116,12 +119,14 @@ def _conditions(finding: Mapping[str, Any]) -> Table | None:
     heads = (
         "condition",
         "how",
-        "error of the simulation [%]",
+        "error of the simulation as declared [%]",
+        "refitted [%]",
         "of the extended model [%]",
-        "simulation over noise [dB]",
+        "simulation as declared over noise [dB]",
+        "refitted [dB]",
         "extended model over noise [dB]",
     )
-    return _table(heads, (False, False, True, True, True, True), rows, "Error of each condition")
+    return _table(heads, (False, False, *[True] * 6), rows, "Error of each condition")
 
 
 def _table(headers: Sequence[str], numeric: Sequence[bool], rows: Sequence[Row], summary: str) -> Table | None:

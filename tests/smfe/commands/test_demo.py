@@ -1,6 +1,7 @@
 """The demonstration tells its story: friction that holds an axis at rest, contradicted lobes, a sweep that is right."""
 
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,9 @@ from smfe.commands.demo import (
     campaign_text,
     records,
 )
+from smfe.diagnosis.story.words import percent
+from smfe.reporting.figures.compared import blocks
+from smfe.results import read_groups
 from stability import zero_order
 
 CONTRADICTED = [(900, 4.5), (950, 4.0), (1100, 5.0)]
@@ -77,6 +81,45 @@ def test_friction_is_named_with_its_gain_on_the_measurement_set_aside(demo: Path
     # What the data hardly know is known as well as it was declared, no worse.
     for given in finding["given"]:
         assert given["high"] - given["low"] < 4.0 * given["spread"], given["name"]
+
+
+def declared(frequency: np.ndarray) -> np.ndarray:
+    """Return the compliance of the tip as the campaign declares it, from the equations of its two masses [m/N]."""
+    given = tomllib.loads(campaign_text())["baseline"]
+    names = ("moving_mass", "tip_mass", "stiffness", "damping", "Kp", "Ti", "Kv", "delay")
+    big, tip, k, d, kp, ti, kv, late = (float(given[name].split()[0]) for name in names)
+    k, ti, late, sigma = 1e6 * k, 1e-3 * ti, 1e-3 * late, float(given["friction"]["sigma"].split()[0])
+    s = 2j * np.pi * frequency
+    servo = kp * (kv + s) * (1.0 + 1.0 / (ti * s)) * np.exp(-s * late)
+    slide, between, head = big * s**2 + sigma * s + k + d * s + servo, k + d * s, tip * s**2 + k + d * s
+    return slide / (slide * head - between**2)
+
+
+@pytest.mark.slow
+def test_the_simulation_that_is_told_of_is_the_one_that_was_declared(demo: Path) -> None:
+    """Sentence, error, curve and note of the figure are of one simulation: that of the campaign, nothing refitted."""
+    finding = json.loads((demo / "results" / "finding.json").read_text())
+    curves = read_groups(demo / "results" / "finding.nc")["curves"]
+    one = curves.sel(condition="hammer_300", entry="xx").dropna("point")
+    phi = declared(one["frequency"].values)
+    np.testing.assert_allclose(one["baseline"].values, phi, atol=2e-3 * np.abs(phi).max())
+    by_hand = float(np.linalg.norm(phi - one["measured"].values) / np.linalg.norm(one["measured"].values))
+    (apart,) = [e for e in finding["errors"] if e["tested"] == "set aside"]
+    (condition,) = [c for c in finding["conditions"] if c["name"] == "hammer_300"]
+    for told in (
+        apart["before"],
+        condition["error_before"],
+        float(curves["error_baseline"].sel(condition="hammer_300")),
+    ):
+        assert told == pytest.approx(by_hand, rel=0.02)
+    assert apart["refitted"] == pytest.approx(condition["error_refitted"])
+    verdict = next(p["text"] for p in finding["passages"] if p["about"] == "verdict")
+    assert f"falls from {percent(apart['before'])} % as declared to {percent(apart['after'])} %" in verdict
+    assert f"the simulation is {percent(apart['refitted'])} % wrong there" in verdict
+    assert any(f"error {percent(apart['before'])} % → {percent(apart['after'])} %" in b.note for b in blocks(curves))
+    for name, value in finding["values_before"].items():
+        near = {g["name"]: g["given"] for g in finding["given"] if g["name"] in ("moving_mass", "tip_mass")}
+        assert value == near.get(name, value)
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ def finding(count: int = 4, **more: Any) -> dict[str, Any]:
     return {
         "verdict": "named",
         "story": ["It is the run-out."],
-        "misfit_db": {"before": 12.5, "after": 0.5},
+        "misfit_db": {"before": 12.5, "refitted": 9.5, "after": 0.5},
         "ladder": [{**step, "misfit_db": 0.5, "accepted": True}, {**step, "misfit_db": 0.4, "accepted": False}],
         "causes": [{"title": "run-out", "parameters": []}],
         "conditions": [
@@ -53,7 +53,11 @@ def shown(content: dict[str, Any], curves: xr.Dataset | None = None) -> tuple[di
 
 def test_the_ladder_goes_from_the_simulation_to_the_extended_model() -> None:
     ladder = shown(finding())[0]["ladder"]
-    assert [row.cells for row in ladder.rows] == [("simulation", "12.5", ""), ("with run-out", "0.5", "3.0")]
+    assert [row.cells for row in ladder.rows] == [
+        ("simulation as declared", "12.5", ""),
+        ("simulation, refitted", "9.5", ""),
+        ("with run-out", "0.5", "3.0"),
+    ]
 
 
 def test_what_no_fit_has_seen_is_marked_and_every_condition_is_there_twice() -> None:
@@ -77,7 +81,10 @@ def test_where_something_is_wrong_but_has_no_name_the_conditions_are_shown_with_
     content = finding(verdict="unknown", causes=[], ladder=[])
     plots = shown(content)[1]
     assert set(plots) == {"plot-conditions"}
-    assert {t["name"] for t in plots["plot-conditions"]["data"]} == {"simulation", "simulation, set aside"}
+    assert {t["name"] for t in plots["plot-conditions"]["data"]} == {
+        "simulation as declared",
+        "simulation as declared, set aside",
+    }
     assert has_diagnosis(content)
     assert len(draw_search(content).axes) == 1
 
@@ -124,7 +131,7 @@ def test_no_limit_is_a_gap_in_the_stable_depth() -> None:
     before, after = shown(finding(stable_depth=rows))[1]["plot-stable-depth"]["data"]
     depths = np.frombuffer(base64.b64decode(after["y"]["bdata"]), dtype="<f4")
     np.testing.assert_array_equal(depths, np.array([2.0, np.nan, 0.0], dtype="f4"))
-    assert (before["name"], before["line"]["dash"]) == ("simulation", "dash")
+    assert (before["name"], before["line"]["dash"]) == ("simulation as declared", "dash")
     assert (after["name"], after["line"]["dash"]) == ("extended model", "dot")
 
 

@@ -81,6 +81,32 @@ def test_a_reference_of_known_size_tells_the_gain_from_the_coefficients():
     assert ids(diagnose(measured({"gain": -0.13}, reference=True), worth=WORTH)) == {"sensor_gain": None}
 
 
+def test_of_the_experiments_that_could_be_done_next_the_one_that_tells_a_set_apart_is_proposed():
+    cut = Condition("another cut", {"speed": 1.0, "feed": 0.0})
+    reference = Condition("a reference", {"speed": 0.0, "feed": 0.0, "reference": 1.0})
+    found = diagnose(measured({"coefficients": 0.35}, proposals=(cut, reference)), worth=WORTH)
+    assert ids(found) == {"force_coefficients": 1, "sensor_gain": 1}
+    n = found.next_experiment
+    assert (n.name, n.between) == ("a reference", "coefficients and gain")
+    # The gain that a reference refutes leaves 0.35 to the coefficients, 3.5 standard deviations of what was declared.
+    assert n.discrimination == pytest.approx(3.5**2, rel=0.02)
+    alone = diagnose(measured({"coefficients": 0.35}, proposals=(cut,)), worth=WORTH).next_experiment
+    assert alone is None or not alone.between
+
+
+def test_before_is_what_was_declared_and_refitted_is_the_best_that_it_can_do():
+    """Coefficients 8 % off, within their tolerance: as declared the error is 8 %, refitted it is noise."""
+    found = diagnose(measured({"coefficients": 0.08, "gain": 0.01}), worth=WORTH)
+    assert (found.values_before["coefficients"], found.values_before["gain"]) == (0.0, 0.0)
+    assert sum(found.values_refitted[n] for n in ("coefficients", "gain")) == pytest.approx(0.09, abs=0.01)
+    # 9 of 100 on shapes with a mean square of a half, or of one, over noise of one.
+    assert found.misfit_before_db == pytest.approx(10.0 * np.log10(1.0 + 9.0**2 * 0.75), abs=0.6)
+    assert found.misfit_refitted_db == pytest.approx(found.misfit_after_db) == pytest.approx(0.0, abs=0.6)
+    for c, told in zip(found.compared, found.conditions, strict=True):
+        assert np.allclose(c.before.whitened, 100.0 * SHAPES[int(c.condition.settings["speed"]) % 2])
+        assert told.before_db > told.refitted_db
+
+
 def test_what_is_declared_within_its_uncertainty_is_consistent_and_stands_beside_what_was_found():
     found = diagnose(measured({"coefficients": 0.08}), worth=WORTH)
     assert (found.verdict, found.causes) == ("consistent", ())

@@ -1,5 +1,6 @@
 """Claims: what is proposed next is a table that the campaign file accepts as it stands, and asks for just that."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +22,17 @@ from samples.diagnosed import (
     moved,
 )
 
+from process.drive.servo import Servo
 from smfe.campaign import Campaign, Measurement
-from smfe.diagnosis.cases.experiments import proposed_moves
+from smfe.diagnosis.cases.experiments import proposed_experiments, proposed_moves
 from smfe.diagnosis.consequences import with_consequences
+from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.judgement.finding import Finding, Remainder
+from smfe.diagnosis.machine.axes import DeclaredAxis, Gains
+from smfe.diagnosis.machine.family import MachineOfAxes
 from smfe.diagnosis.story.blocks import block_of, repeated
+from smfe.diagnosis.story.experiments import instruction
+from smfe.diagnosis.story.millimetres import given_values
 
 
 def added(whole: Campaign) -> Measurement:
@@ -90,6 +97,65 @@ def test_an_axis_that_moved_has_moves_to_do_next(tmp_path: Path) -> None:
         assert np.linalg.norm(rough - plain) > 100.0  # friction of 40 N would be seen
         made = added(appended(given, block_of(given, family, p, {})))
         assert (made.method, [len(r.files) for r in made.records]) == ("drive", [1])
+
+
+LIMITS = MODES.replace('from = "maker"', 'limits = "maker"')
+DRIVE = '[baseline]\ndrive = "rigid"\naxis = "x"\n'
+SHAKEN = HIT.replace("hammer", "actuator").replace('controller = "K2"', 'controller = "K2"\nforce_level = "50 N"')
+RIDES = """[machine.axis.x]
+moving_mass = "20 kg"
+controllers = { K2 = { Kp = "6000 N s/m", Ti = "11 ms", Kv = "45 1/s" } }
+"""
+
+
+def machine_of_axes() -> MachineOfAxes:
+    """Modes that ride on an axis."""
+    one = modal()
+    declared = {"x": DeclaredAxis(20.0, {"K2": Gains(6000.0, 11e-3, 45.0, 0.0)})}
+    return MachineOfAxes(one.model, one.conditions, one.proposals, axes=declared)
+
+
+def shaken() -> MachineFrfs:
+    """An axis that an actuator shakes, under two controllers."""
+    family = axis()
+    (c,) = family.conditions
+    data = replace(c.data, method="actuator", level=50.0)
+    settings = {**c.settings, "method": "actuator", "level": 50.0}
+    more = {**family.baseline.servos, "K4": Servo(9000.0, 10.9e-3, 45.5)}
+    baseline = replace(family.baseline, servos=more)
+    own = replace(c, name="actuator_500", source="actuator_500", settings=settings, data=data)
+    found = MachineFrfs(baseline, (own,))
+    return replace(found, proposals=proposed_experiments(found))
+
+
+CATALOGUE = {
+    "axis": (axis, (AXIS, HIT)),
+    "shaken axis": (shaken, (AXIS, SHAKEN)),
+    "modes": (modal, (MODES, HIT)),
+    "modes on axes": (machine_of_axes, (MODES, RIDES, HIT)),
+    "forces": (forces, (TOOL, '[baseline]\nforces = "mechanistic"\n', CUT)),
+    "limits": (limits, (TOOL, LIMITS, CUT)),
+}
+"""Kind of baseline -> the family with its catalogue of experiments, and a campaign of it."""
+
+
+@pytest.mark.parametrize("kind", CATALOGUE)
+def test_every_experiment_of_the_catalogue_is_an_instruction_and_tables_that_the_campaign_accepts(
+    tmp_path: Path, kind: str
+) -> None:
+    make, tables = CATALOGUE[kind]
+    given, family = campaign(tmp_path, CHANNELS, *tables), make()
+    assert family.proposals
+    said = [instruction(family, p) for p in family.proposals]
+    assert len(set(said)) == len(said)
+    for p, do in zip(family.proposals, said, strict=True):
+        assert "{" not in do
+        assert "_" not in do
+        block = block_of(given, family, p, {**given_values(family)})
+        assert block, p.name
+        longer = appended(given, block)  # as `smfe.read_campaign` reads it
+        more = len(longer.measurements) - len(given.measurements), len(longer.cutting_tests) - len(given.cutting_tests)
+        assert more in ((1, 0), (0, 1), (0, 2)), p.name
 
 
 def test_every_verdict_has_a_next_experiment(tmp_path: Path) -> None:

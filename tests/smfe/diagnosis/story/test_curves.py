@@ -24,6 +24,7 @@ from stability import zero_order
 
 MODES = ModalModel(np.array([60.0, 90.0]), np.array([0.03, 0.04]), np.array([2e7, 3e7]), np.eye(3)[:2])
 F = np.arange(20.0, 150.0, 2.0)
+PARTS = (0.0, 0.5, 1.0)
 CAUSE = FoundCause("modal_scale", "", "scale", "physics", (), 99.0, 3.0, 0.1)
 
 
@@ -40,13 +41,14 @@ def family(scale: float, count: int = 3) -> ModalFrfs:
 
 
 def finding(f: ModalFrfs, scale: float, held_out: int) -> Finding:
+    """The simulation as declared has the scale wrong, refitted half of that, the extended model none."""
     start = {p.name: p.start for p in (*f.nuisances, *(p for c in f.causes for p in c.parameters))}
-    both = [Prediction(v, f.predict(f.conditions[0], v)) for v in (start, {**start, "scale_error": scale})]
+    each = [Prediction(v, f.predict(f.conditions[0], v)) for v in ({**start, "scale_error": x * scale} for x in PARTS)]
     compared = tuple(
-        Compared(c, k < held_out, both[0], both[1], ((both[0], both[1]),) if k < held_out else ())
+        Compared(c, k < held_out, *each, ((each[1], each[2]),) if k < held_out else ())
         for k, c in enumerate(f.conditions)
     )
-    misfits = tuple(ConditionMisfit(c.name, 10.0, 0.0, k < held_out) for k, c in enumerate(f.conditions))
+    misfits = tuple(ConditionMisfit(c.name, 10.0, 0.0, k < held_out, 5.0) for k, c in enumerate(f.conditions))
     return Finding("named", "it is", (CAUSE,), conditions=misfits, compared=compared)
 
 
@@ -57,12 +59,16 @@ def test_the_error_is_that_of_the_compliance_and_what_was_set_aside_comes_first(
     for e in found.errors:
         assert e.before == pytest.approx(0.25, rel=1e-6)  # |phi - phi/1.25| over |phi/1.25|
         assert e.after < 1e-6
+        assert e.refitted == pytest.approx(1.25 / 1.125 - 1.0, rel=1e-6)
     assert found.curves is not None
     measured = found.curves["measured"].sel(condition="m0", entry="xx").values
     np.testing.assert_allclose(measured, MODES.matrix(F)[:, 0, 0] / 1.25, rtol=1e-5)
     np.testing.assert_allclose(found.curves["baseline"].sel(condition="m0", entry="yy"), MODES.matrix(F)[:, 1, 1], 1e-5)
     assert found.curves["held_out"].values.tolist() == [True, False, False]
     assert [c.error_before for c in found.conditions] == pytest.approx([0.25] * 3)
+    refitted = found.curves["refitted"].sel(condition="m2", entry="xx").values
+    np.testing.assert_allclose(refitted, MODES.matrix(F)[:, 0, 0] / 1.125, rtol=1e-5)
+    assert [c.error_refitted for c in found.conditions] == pytest.approx([1.25 / 1.125 - 1.0] * 3)
 
 
 def test_both_renderers_draw_what_is_kept_and_mark_what_was_set_aside() -> None:
@@ -74,7 +80,7 @@ def test_both_renderers_draw_what_is_kept_and_mark_what_was_set_aside() -> None:
     assert shown[0].note.startswith("set aside, error 25 %")
     figure = compared_figure(shown[0])
     looks = {t["name"]: (t["line"]["color"], t["line"]["dash"]) for t in figure["data"]}
-    assert set(looks) == {"measured", "simulation", "extended model"}
+    assert set(looks) == {"measured", "simulation as declared", "extended model"}
     assert len({dash for _, dash in looks.values()}) == len({colour for colour, _ in looks.values()}) == 3
     assert sum(t["showlegend"] for t in figure["data"]) == 3
     assert curves is not None
@@ -97,7 +103,7 @@ def test_limits_are_drawn_over_the_speed() -> None:
     tool, arc, steel = Tool(0.08, 4), engagement("down", 0.04, 0.08), CuttingCoefficients(2e9, 8e8, 3e8)
     cuts = limit_family([Limit(700.0, 2e-3), Limit(500.0, 1e-3)], MODES, tool, arc, steel, proposals=())
     both = [Prediction({}, np.zeros(0)), Prediction({"coefficients": 1.0}, np.zeros(0))]
-    compared = tuple(Compared(c, False, both[0], both[1]) for c in cuts.conditions)
+    compared = tuple(Compared(c, False, both[0], *both) for c in cuts.conditions)
     misfits = tuple(ConditionMisfit(c.name, 1.0, 0.0, False) for c in cuts.conditions)
     found = with_curves(cuts, Finding("named", "it is", (CAUSE,), conditions=misfits, compared=compared))
     (block,) = blocks(found.curves)
@@ -109,11 +115,25 @@ def test_limits_are_drawn_over_the_speed() -> None:
 
 def test_an_experiment_is_something_to_do() -> None:
     machine = family(0.0, 1)
-    names = {"level 25": "Repeat the first measurement at the level 25 (N s of a hammer, N of an actuator)"}
-    names["cut at 600 rpm, 0.1 mm per tooth, 3 mm deep"] = "Make a cut at 600 rpm, 0.1 mm per tooth, 3 mm deep"
-    names["limit at 350 rpm, 0.1 mm per tooth"] = (
-        "Find the limit at 350 rpm and 0.1 mm per tooth: cut deeper by 4 to 6 % at a time"
-    )
-    for name, said in names.items():
-        assert instruction(machine, Condition(name, {}, None)) == said
+    excited = machine.conditions[0].data
+    for name, settings, said in (
+        ("level 25", {}, "Repeat m0 at 50 N"),
+        (
+            "position 0.75 m, at the end",
+            {"position": 0.75},
+            "Repeat m0 at 750 mm of the stroke, at the end of the session",
+        ),
+        ("a turning spindle", {"spindle_speed": 300.0}, "Repeat m0 with the spindle turning at 2865 rpm"),
+        (
+            "cut at 600 rpm, 0.1 mm per tooth, 3 mm deep",
+            {},
+            "Make a cut at 600 rpm, 0.1 mm per tooth, 3 mm deep",
+        ),
+        (
+            "limit at 350 rpm, 0.1 mm per tooth",
+            {},
+            "Find the limit at 350 rpm and 0.1 mm per tooth: cut deeper by 4 to 6 % at a time",
+        ),
+    ):
+        assert instruction(machine, Condition(name, settings, None, "m0", excited)) == said
     assert math.isfinite(machine.fine_frequency()[0])

@@ -22,7 +22,10 @@ from smfe.diagnosis.judgement.finding import Finding, FoundCause
 from smfe.diagnosis.machine.axes import DeclaredAxis, Gains, sides_of
 from smfe.diagnosis.machine.family import MachineOfAxes
 from smfe.diagnosis.story.extended import HEAD, extended_campaign
-from smfe.diagnosis.story.millimetres import given_values
+from smfe.diagnosis.story.millimetres import depths_of, given_values, stable_depths
+from smfe.identification.compliances import of_model
+from smfe.limits.campaign_lobes import all_lobes
+from smfe.progress import silent
 
 LOBES = """[[lobes]]
 measurements = ["maker"]
@@ -247,6 +250,48 @@ def test_a_campaign_in_memory_has_an_extended_model_too(tmp_path: Path) -> None:
     text = extended_campaign(given, family, found(family, Ktc=2.7e9), tmp_path).text
     assert 'Ktc = "2700 N/mm^2"' in text
     assert math.isclose(float(text.split('Krc = "')[1].split()[0]), 600.0)
+
+
+ASKED = LOBES.replace('"100 rpm"]', '"2000 rpm"]')
+FORCES = MODES.split("[baseline]")[0] + '[baseline]\nforces = "mechanistic"\n'
+OF_HITS = ASKED.replace('"maker"', '"hammer_500"')
+
+
+@pytest.mark.parametrize(
+    ("make", "tables", "keys", "values"),
+    [
+        (
+            "axis",
+            (AXIS, OF_HITS, HIT),
+            ("guideway_friction/stribeck",),
+            {"stribeck_coulomb": 40.0, "static_rise": 45.0},
+        ),
+        ("modes", (MODES, ASKED, HIT), ("modal_scale",), {"scale_error": 0.3}),
+        ("forces", (FORCES, ASKED, CUT), ("runout",), {"Ktc": 2.7e9, "runout": 2e-5}),
+        ("limits", (MODES.replace("from", "limits"), ASKED, CUT), ("force_coefficients",), {"coefficients": 0.35}),
+    ],
+)
+def test_lobes_of_the_extended_model_are_those_that_the_finding_states(
+    tmp_path: Path, make: str, tables: tuple[str, ...], keys: tuple[str, ...], values: dict[str, float]
+) -> None:
+    """As `smfe lobes` computes them from the file; before and after differ, and after is what the page says."""
+    given = campaign(tmp_path, CHANNELS, TOOL, *tables)
+    family = {"axis": lambda: axis(given), "modes": lambda: modal(ONE), "forces": forces, "limits": limits}[make]()
+    finding = found(family, *(k for k in keys if k in {c.key for c in family.causes}), **values)
+    whole = read(tmp_path, given, family, finding)
+    source = "machine" if make == "axis" else "maker"
+    own = tuple(r for r in whole.lobes if r.measurements == (source,))
+    assert len(own) == 1
+    compliances = {m.name: of_model(m.modal) for m in whole.models}
+    (result,) = all_lobes(replace(whole, lobes=own), compliances, silent)
+    depths, why = depths_of(given, family)
+    assert depths is not None, why
+    told = stable_depths(given, depths, finding.values)
+    after = [r.after_mm for r in told if r.where == given.lobes[0].name]
+    # The operating point is read between frequencies of its own choice.
+    assert result.lobes["limit_depth"].values == pytest.approx(after, rel=0.02)
+    if make != "axis":  # whose friction gives way to small vibration, once it slides at the feed of the cut
+        assert max(abs(r.after_mm / r.before_mm - 1.0) for r in told) > 0.05
 
 
 def test_records_of_a_public_data_set_keep_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -44,7 +44,8 @@ def test_the_first_sentence_says_what_is_left_out_and_what_is_gained_on_what_no_
     found = Finding("named", "it is", (FRICTION,), errors=ERRORS)
     assert told(found, BRAKED)[0].text == (
         "The simulation leaves out guideway friction: it brakes the x axis 2.3 times more at rest (86 N) than at "
-        "500 mm/min (37 N). With it the error on the two measurements set aside falls from 31 to 4.0 % (18 dB)."
+        "500 mm/min (37 N). With it the error on the two measurements set aside falls from 31 % as declared to 4.0 % "
+        "(18 dB)."
     )
 
 
@@ -70,18 +71,33 @@ def test_a_force_that_the_measurements_leave_open_is_told_as_open() -> None:
     [
         (
             ERRORS[1],
-            "the error on four measurements left out of the fit in turn falls from 35 to 5.0 % (17 dB).",
+            "the error on four measurements left out of the fit in turn falls from 35 % as declared to 5.0 % (17 dB).",
         ),
         (
             ModelError("cuts", 1, "fitted", 0.2, 0.1),
-            "the error on the cut that was fitted falls from 20 to 10 % (6 dB); no measurement could be left out of "
-            "the fit to prove it.",
+            "the error on the cut that was fitted falls from 20 % as declared to 10 % (6 dB); no measurement could be "
+            "left out of the fit to prove it.",
         ),
         (ModelError("moves", 30, "set aside", 0.02, 0.04), "With it the error on the 30 moves set aside rises from"),
     ],
 )
 def test_the_gain_says_what_it_was_measured_on(error: ModelError, said: str) -> None:
     assert said in say("verdict", Finding("named", "it is", (DELAY,), errors=(error,)))[0]
+
+
+def test_the_gain_is_told_from_what_was_declared_and_the_best_without_the_cause_stands_beside_it() -> None:
+    e = ModelError("measurements", 1, "set aside", 0.12, 0.004, 0.8)
+    said = say("verdict", Finding("named", "it is", (DELAY,), errors=(e,)))[0]
+    assert said.endswith(
+        "With it the error on the measurement set aside falls from 12 % as declared to 0.40 % (30 dB); refitted "
+        "without it the simulation is 80 % wrong there."
+    )
+    alike = replace(e, refitted=0.125)
+    assert "refitted" not in say("verdict", Finding("named", "it is", (DELAY,), errors=(alike,)))[0]
+    healthy = Finding("consistent", "it is", errors=(replace(e, before=0.08, after=0.02, refitted=0.02),))
+    assert say("verdict", healthy)[0].endswith(
+        "no more than noise (error 8.0 % as declared, 2.0 % with its values fitted within their tolerances)."
+    )
 
 
 def test_what_is_left_out_and_what_is_wrong_with_the_measurement_are_told_apart() -> None:
@@ -143,6 +159,20 @@ def test_depths_are_those_of_the_speeds_of_the_shop_and_of_its_cutting_tests() -
         "From 400 to 800 rpm the smallest stable depth is 1.50 mm (at 800 rpm) with the extended model, 3.00 mm (at "
         "400 rpm) with the simulation. The largest change is at 800 rpm: 1.50 mm where the simulation gives 9.00 mm.",
     ]
+
+
+def test_a_depth_says_where_on_the_stroke_it_stands_and_the_worst_comes_first() -> None:
+    here, there = "at 0 mm of the stroke", "at 800 mm of the stroke"
+    rows = [StableDepth("lobes_1", n, n, 3.0, a, here) for n, a in ((400.0, 3.1), (800.0, 3.2))]
+    rows += [StableDepth("lobes_1", n, n, 3.0, a, there) for n, a in ((400.0, 1.9), (800.0, 1.7))]
+    said = say("depth", Finding("named", "it is", (DELAY,), stable_depth=tuple(rows)))
+    assert said[0].startswith(
+        "At 800 mm of the stroke, from 400 to 800 rpm the smallest stable depth is 1.70 mm (at 800 rpm)"
+    )
+    assert said[1] == (
+        "The smallest stable depth with the extended model is 3.10 mm at 0 mm of the stroke and 1.70 mm at 800 mm of "
+        "the stroke; the simulation gives 3.00 mm throughout."
+    )
 
 
 def test_power_names_the_size_that_would_have_been_seen_of_causes_that_were_not_found() -> None:
@@ -215,6 +245,15 @@ def test_causes_that_the_data_do_not_separate_are_told_as_one_or_the_other() -> 
         "force sensor 13 % lower) or the simulation is wrong about the scale of all modes."
     ), said
     assert "do not tell which of them it is" in " ".join(say("cause", Finding("named", "", (gain, scale))))
+    (open_,) = say("next", Finding("named", "", (gain, scale)))
+    assert open_.startswith(
+        "No experiment proposed here tells gain of the force sensor from scale of all modes: calibrate"
+    )
+    n = Proposal("a reference", 12.0, 0.8, "", 5.0, "gain and scale", 3.0, do="Hang up a free mass of 20 kg")
+    settled = Finding("named", "", (gain, scale), next_experiment=n)
+    assert say("cause", settled)[-1].endswith("The experiment proposed below separates them.")
+    (said,) = say("next", settled)
+    assert said.startswith("Next: Hang up a free mass of 20 kg (about 5 min).")
 
 
 def test_what_is_too_small_to_matter_is_said_and_does_not_convict() -> None:
