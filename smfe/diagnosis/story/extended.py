@@ -183,7 +183,10 @@ def _write_axis(draft: _Draft, campaign: Campaign, family: MachineFrfs, values: 
         _put_material(draft, material_of(family.cuts.coefficients, values))
 
 
-_OF_LOBES = ("cut", "width_of_cut", "feed_per_tooth", "spindle_speed", "maximum_depth", "controller")
+_OF_LOBES = (
+    *("cut", "width_of_cut", "offset", "entry_angle", "exit_angle", "strips"),
+    *("feed_per_tooth", "spindle_speed", "maximum_depth", "controller"),
+)
 """Keys of ``[[lobes]]`` that those of the machine of the extended model share with what was asked for."""
 
 

@@ -53,7 +53,7 @@ def compared_figure(block: Block) -> Figure:
             known = np.concatenate([line.y[np.isfinite(line.y) & (line.y > 0.0)] for line in panel.lines])
             if known.size:
                 look |= log_axis(float(known.min()) / 1.3, float(known.max()) * 1.3)
-        layout[f"yaxis{tail}"] = axis_look(panel.label, **look)
+        layout[f"yaxis{tail}"] = axis_look(panel.label, automargin=True, **look)
         matched = {} if place == 1 else {"matches": "x"}
         layout[f"xaxis{tail}"] = axis_look(
             block.x_label if last else "", anchor=f"y{tail}", showticklabels=last, **matched

@@ -28,7 +28,9 @@ def machine() -> ModalFrfs:
 def campaign() -> Any:
     speeds = np.linspace(300.0, 900.0, 5)
     lobes = dict(name="lobes", cut="down", width_of_cut=0.04, feed_per_tooth=1e-4, spindle_speed=speeds)
-    cut = SimpleNamespace(**lobes, measurements=(), controller=None, process_damping=NO_DAMPING, maximum_depth=None)
+    cut = SimpleNamespace(
+        **lobes, measurements=(), controller=None, process_damping=NO_DAMPING, maximum_depth=None, engaged=None
+    )
     steel = CuttingCoefficients(2e9, 8e8, 3e8)
     return SimpleNamespace(lobes=[cut], cutting_tests=[], tool=Tool(0.08, 4), coefficients=steel)
 
