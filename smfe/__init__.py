@@ -2,7 +2,7 @@
 
 The commands of the command line are functions of the same name: `run`, `demo`, `check`, `look`, `identify`, `compare`,
 `modal`, `lobes`, `pitch`, `chatter`, `coefficients`, `diagnose`, `plan`, `tune`, `simulate`, `convert`, `report`,
-`export`.
+`export`, `catalogue`.
 They take paths, or objects in memory, which `record`, `compliance`, `Tool` and `CuttingCoefficients` make of arrays.
 What a folder of results recommends is its `recommendation`. Files are read by `read_campaign`, `read_record`,
 `read_records`, `read_blocks`, `read_reduced`. The methods alone, from records to a compliance with its uncertainty, are
@@ -40,10 +40,11 @@ if TYPE_CHECKING:
     from smfe.commands.files.look import look
     from smfe.commands.identify import identify
     from smfe.commands.lobes import lobes
+    from smfe.commands.many.catalogue import catalogue
+    from smfe.commands.many.run import run
     from smfe.commands.modal import modal
     from smfe.commands.plan import plan
     from smfe.commands.report import report
-    from smfe.commands.run import run
     from smfe.commands.simulate import simulate
     from smfe.commands.tune import tune
     from smfe.identification.actuator.stepped_sine import identify_actuator
@@ -94,6 +95,7 @@ __all__ = [
     "Tool",
     "__version__",
     "actuator_compliance",
+    "catalogue",
     "chatter",
     "check",
     "coefficients",
@@ -159,10 +161,11 @@ _HOMES = {
     "smfe.commands.identify": "identify",
     "smfe.commands.lobes": "lobes",
     "smfe.commands.files.look": "look",
+    "smfe.commands.many.catalogue": "catalogue",
+    "smfe.commands.many.run": "run",
     "smfe.commands.modal": "modal",
     "smfe.commands.plan": "plan",
     "smfe.commands.report": "report",
-    "smfe.commands.run": "run",
     "smfe.commands.simulate": "simulate",
     "smfe.commands.tune": "tune",
     "smfe.identification.actuator.stepped_sine": "identify_actuator, identify_actuator as actuator_compliance",

@@ -108,47 +108,54 @@ def write_hashes(kept: Path, files: Iterable[Path]) -> None:
 class Parts:
     """Results of one kind of part, as JSON, each under its name with the key of what it came from.
 
+    Each is a file of its own: thousands cost what one costs thousands of times, and processes that share a folder do
+    not write over each other.
+
     Parameters
     ----------
     folder : Path or None
         `KEPT` of a folder of results. None: nothing is kept.
     kind : str
-        What they are; the name of the file.
+        What they are; begins the names of the files.
     """
 
     def __init__(self, folder: Path | None, kind: str) -> None:
-        self.path = None if folder is None else folder / f"{kind}.json"
-        self._parts: dict[str, Any] = {} if self.path is None else _read(self.path)
+        self.folder, self.kind = folder, kind
         self._used: set[str] = set()
 
     def __contains__(self, asked: tuple[str, str]) -> bool:
-        name, key = asked
-        found = self._parts.get(name)
-        return isinstance(found, dict) and found.get("key") == key
+        return self._found(*asked) is not None
 
     def get(self, name: str, key: str, make: Callable[[], Any]) -> Any:
         """Return the part that was kept under this key, else make it and keep it; what JSON can hold."""
-        self._used.add(name)
-        if (name, key) not in self:
-            self._parts[name] = {"key": key, "value": make()}
-            self.write()
-        return self._parts[name]["value"]
+        if self.folder is None:
+            return make()
+        self._used.add(self._path(name).name)
+        found = self._found(name, key)
+        if found is None:
+            made = {"name": name, "key": key, "value": make()}
+            _write(self._path(name), made)
+            found = json.loads(json.dumps(made))  # as it is read back: a tuple is a list from now on
+        return found["value"]
 
     def forget(self, name: str) -> None:
         """Forget a part, before what it stands for is changed."""
-        if self._parts.pop(name, None) is not None:
-            self.write()
-
-    def write(self) -> None:
-        """Write what is kept, so that an interruption loses nothing."""
-        if self.path is not None:
-            _write(self.path, self._parts)
+        if self.folder is not None:
+            self._path(name).unlink(missing_ok=True)
 
     def forget_others(self) -> None:
         """Forget what nothing has asked for: parts that the campaign has no longer."""
-        if set(self._parts) - self._used:
-            self._parts = {name: part for name, part in self._parts.items() if name in self._used}
-            self.write()
+        for path in [] if self.folder is None else self.folder.glob(f"{self.kind}-*.json"):
+            if path.name not in self._used:
+                path.unlink(missing_ok=True)
+
+    def _found(self, name: str, key: str) -> dict[str, Any] | None:
+        found = {} if self.folder is None else _read(self._path(name))
+        return found if (found.get("name"), found.get("key")) == (name, key) and "value" in found else None
+
+    def _path(self, name: str) -> Path:
+        assert self.folder is not None
+        return self.folder / f"{self.kind}-{hashlib.sha256(name.encode()).hexdigest()[:16]}.json"
 
 
 # --- A whole run --------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import traceback
@@ -142,11 +143,14 @@ class Failure:
         Which one: a measurement, "lobes_1, SOURCE", the file of a cutting test; empty where there is one only.
     reason : str
         Why, with what to do.
+    outside : bool
+        Whether it lies outside of input and program: memory, a disk, a network. The same may go well another time.
     """
 
     part: str
     name: str
     reason: str
+    outside: bool = False
 
     @property
     def sentence(self) -> str:
@@ -183,7 +187,28 @@ def attempt(failures: Failures | None, part: str, name: str = "") -> Iterator[No
 
 def failure_of(part: str, name: str, error: Exception) -> Failure:
     """Return what an error makes of a part; its reason does not say once more which part it was."""
-    return Failure(part, name, reason_of(error).removeprefix(f"{part} '{name}': "))
+    return Failure(part, name, reason_of(error).removeprefix(f"{part} '{name}': "), is_outside(error))
+
+
+_OUTSIDE = frozenset(
+    getattr(errno, name)
+    for name in (
+        *("EAGAIN", "EBUSY", "EDQUOT", "EINTR", "EIO", "EMFILE", "ENFILE", "ENOBUFS", "ENOLCK", "ENOMEM", "ENOSPC"),
+        *("EHOSTDOWN", "EHOSTUNREACH", "ENETDOWN", "ENETRESET", "ENETUNREACH", "ENOTCONN", "ESTALE", "ETIMEDOUT"),
+        *("ECONNABORTED", "ECONNREFUSED", "ECONNRESET", "EREMOTEIO"),
+    )
+    if hasattr(errno, name)
+)
+"""Numbers of errors of the system that say nothing of the file itself: disk, memory, handles, network."""
+
+
+def is_outside(error: BaseException | None) -> bool:
+    """Return whether what went wrong, or what it came from, lies outside of input and program."""
+    while error is not None:
+        if isinstance(error, MemoryError | ConnectionError | TimeoutError) or getattr(error, "errno", None) in _OUTSIDE:
+            return True
+        error = error.__cause__
+    return False
 
 
 def reason_of(error: Exception) -> str:
@@ -201,7 +226,7 @@ def reason_of(error: Exception) -> str:
 
 def pack(failures: Iterable[Failure]) -> dict[str, str]:
     """Return attributes for a file of results that say what is missing in it."""
-    rows = [asdict(f) for f in failures]
+    rows = as_rows(failures)
     return {"failures": json.dumps(rows)} if rows else {}
 
 
@@ -211,7 +236,11 @@ def unpack(content: Mapping[str, object]) -> Failures:
     rows = json.loads(found) if isinstance(found, str) else found
     if not isinstance(rows, list):
         return []
-    return [Failure(*(str(r.get(k, "")) for k in ("part", "name", "reason"))) for r in rows if isinstance(r, dict)]
+    return [
+        Failure(*(str(r.get(k, "")) for k in ("part", "name", "reason")), bool(r.get("outside")))
+        for r in rows
+        if isinstance(r, dict)
+    ]
 
 
 def of_file(path: Path) -> Failures:
@@ -222,9 +251,9 @@ def of_file(path: Path) -> Failures:
         return unpack(dict(root.attrs))
 
 
-def as_rows(failures: Iterable[Failure]) -> list[dict[str, str]]:
-    """Return one row a failure, for JSON."""
-    return [asdict(f) for f in failures]
+def as_rows(failures: Iterable[Failure]) -> list[dict[str, Any]]:
+    """Return one row a failure, for JSON; that it came from outside is said where it did."""
+    return [{k: v for k, v in asdict(f).items() if k != "outside" or v} for f in failures]
 
 
 def require_something(found: Sequence[object], failures: Failures | None) -> None:

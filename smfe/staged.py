@@ -97,7 +97,7 @@ def together(folder: Path, earlier: Iterable[str]) -> Iterator[Path]:
     stage.mkdir(parents=True)
     try:
         drawn = [p for p in (folder / "figures").glob("*.png") if p.is_file()]
-        for path in (*drawn, folder / KEPT / "figures.json"):
+        for path in (*drawn, *(folder / KEPT).glob("figures-*.json")):
             _link(path, stage / path.relative_to(folder))
         yield stage
         made = sorted(p.relative_to(stage).as_posix() for p in stage.rglob("*") if p.is_file())

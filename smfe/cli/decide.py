@@ -10,38 +10,77 @@ import typer
 
 from smfe.cli.answer import run_outcome
 from smfe.cli.terminal import Outcome, Terminal
-from smfe.cli.verb import DECIDE, OUT, CampaignFile, any_files, campaign_files, result_folders, verb
+from smfe.cli.verb import DECIDE, OUT, CampaignFile, Campaigns, any_files, campaign_files, result_folders, verb
 
 
 @verb(
     DECIDE,
     gives="a folder with report.html (lobes, cutting tests, compliances, diagnosis), the recommended speed and depth "
     "also in presets.json and pockets.csv, lobe_table.csv, frf.nc, lobes.nc, provenance.json. A second run goes on "
-    "where the first stopped.",
-    examples=["smfe run campaign.toml", "smfe run campaign.toml --out results --json"],
+    "where the first stopped. Of many campaigns: such a folder each, with the report where --reports asks for it, and "
+    "catalogue.parquet, one table of all, for `smfe catalogue`.",
+    examples=[
+        "smfe run campaign.toml",
+        "smfe run campaign.toml --out results --json",
+        "smfe run archive --out results --jobs 8",
+        'smfe run "archive/*/2025-*/campaign.toml" --out results',
+    ],
     keeps="what is finished is kept in the folder of results, and no file is half written",
     keys="recommendation, recommendations, report, finding",
 )
 def run(
     terminal: Terminal,
-    campaign: CampaignFile,
+    campaign: Campaigns,
     folder: Annotated[Path, typer.Option(*OUT, help="Folder of the results.", autocompletion=result_folders)] = Path(
         "results"
     ),
     fresh: Annotated[bool, typer.Option("--fresh", help="Read nothing back from an earlier run.")] = False,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            "-j", "--jobs", min=1, help="Processes; default: one a core, of one campaign one.", show_default=False
+        ),
+    ] = None,
+    reports: Annotated[
+        bool, typer.Option("--reports", help="Of many campaigns: write the report of each, too.")
+    ] = False,
 ) -> Outcome:
     """Do all that a campaign asks for: data audit, compliances, lobes, verdicts, diagnosis, report."""
+    from smfe.commands.many.folders import is_one
     from smfe.kept import is_unchanged
 
+    if len(campaign) > 1 or not is_one(campaign[0]):
+        return _many(terminal, campaign, folder, fresh, jobs, reports)
     # Said before the numerics are imported, which takes longer than all the rest.
-    if not fresh and is_unchanged(campaign, folder):
+    if not fresh and is_unchanged(Path(campaign[0]), folder) and (folder / "report.html").is_file():
         terminal.note("nothing has changed since these results were written; --fresh computes them again")
         return run_outcome(folder / "report.html")
     import smfe
 
     with terminal.bar() as progress:
-        report_file = smfe.run(campaign, folder, fresh, progress, terminal.show)
+        report_file = smfe.run(campaign[0], folder, fresh, progress, terminal.show, jobs=jobs)
     return run_outcome(report_file)
+
+
+def _many(
+    terminal: Terminal, campaigns: list[str], folder: Path, fresh: bool, jobs: int | None, reports: bool
+) -> Outcome:
+    """Run many campaigns and say what they came to, what failed at the end."""
+    import smfe
+
+    with terminal.bar() as progress:
+        batch = smfe.run(campaigns, folder, fresh, progress, draw=reports, jobs=jobs)
+    states = list(batch.states.values())
+    counts = {what: states.count(what) for what in ("done", "faults", "refused", "outside")}
+    words = {"faults": "with parts that failed", "refused": "refused", "outside": "failed for reasons outside"}
+    said = ", ".join([f"{counts['done']} done", *(f"{counts[k]} {w}" for k, w in words.items() if counts[k])])
+    kept = f" ({batch.unchanged} unchanged since an earlier run)" if batch.unchanged else ""
+    lines = [
+        f"{len(states)} campaigns: {said}{kept}",
+        f"catalogue: {batch.catalogue}; next: smfe catalogue {folder}",
+    ]
+    content = {"catalogue": str(batch.catalogue), "campaigns": batch.states, "unchanged": batch.unchanged}
+    return Outcome(lines, content, failures=batch.failures, wrong=batch.wrong)
 
 
 @verb(

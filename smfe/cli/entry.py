@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from smfe._version import __version__
-from smfe.cli import decide, files, measure, predict  # noqa: F401  (each registers its verbs)
+from smfe.cli import decide, files, fleet, measure, predict  # noqa: F401  (each registers its verbs)
 from smfe.cli.terminal import DONE, out
 from smfe.cli.verb import GROUPS, STATUS, app
 

@@ -42,6 +42,8 @@ class Outcome:
         Parts that failed or were left out; with any the exit status is 3.
     fault : bool
         Whether a fault in the data remains that is no failure of a part.
+    wrong : bool
+        Whether some of what was asked for was not done at all: the exit status is 1.
     counted : bool
         Whether the lines say how many warnings there are: they are then said in full with ``-v`` only.
     """
@@ -51,6 +53,7 @@ class Outcome:
     warnings: Sequence[str] = ()
     failures: Failures = field(default_factory=list)
     fault: bool = False
+    wrong: bool = False
     counted: bool = False
 
 
@@ -106,6 +109,8 @@ class Terminal:
                 _say(out, line)
         for failure in outcome.failures:
             _say(errors, f"failed, {failure.sentence}")
+        if outcome.wrong:
+            raise typer.Exit(WRONG)
         if outcome.failures or outcome.fault:
             raise typer.Exit(FAULT)
 

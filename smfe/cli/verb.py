@@ -170,6 +170,14 @@ def _paths(incomplete: str, endings: tuple[str, ...]) -> list[str]:
 
 
 OUT = ("-o", "--output", "--out")  # names of the option that says where to write
+Campaigns = Annotated[
+    list[str],
+    typer.Argument(
+        help="Campaign file (TOML); of many campaigns files, folders that hold some, or patterns.",
+        show_default=False,
+        autocompletion=campaign_files,
+    ),
+]
 CampaignFile = Annotated[
     Path, typer.Argument(help="Campaign file (TOML).", show_default=False, autocompletion=campaign_files)
 ]

@@ -12,8 +12,9 @@ import datetime
 import importlib.metadata
 import json
 import os
+import shutil
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,12 +24,12 @@ import xarray as xr
 
 from process.errors import InputError
 from smfe._version import __version__
-from smfe.campaign import Campaign, load_campaign
+from smfe.campaign import Campaign, Measurement, load_campaign
 from smfe.campaign.datasets import Show
 from smfe.commands.compare import compared, model_errors, single_levels
 from smfe.commands.diagnose import finding_of, write_finding
 from smfe.commands.identify import CONDITIONS, conditions_of, identify_all, left_out, with_warnings, write_conditions
-from smfe.commands.report import report_of
+from smfe.commands.report import report, report_of
 from smfe.comparison.explained import explain
 from smfe.comparison.peaks import all_peaks
 from smfe.diagnosis.audit import audited
@@ -110,6 +111,8 @@ def run(
     fresh: bool = False,
     progress: Progress = silent,
     licence: Show | None = None,
+    draw: bool = True,
+    ahead: Callable[[Progress], object] | None = None,
 ) -> Path:
     """Do everything that a campaign asks for and write the results.
 
@@ -128,12 +131,17 @@ def run(
         Called with (what, done, of).
     licence : callable, optional
         Called with the licence of a public data set before it is fetched; without it nothing is fetched.
+    draw : bool, optional
+        Whether the report and its pictures are written, too; `report` writes them later.
+    ahead : callable, optional
+        Called with a progress before anything is identified: what it keeps in `KEPT` is read back.
 
     Returns
     -------
     Path
-        The report. What failed stands in ``provenance.json`` beside it, as a list ``failures`` of objects with part,
-        name and reason, and in its place in every other file; the rest is as it would have been without.
+        The report, or where it would stand. What failed stands in ``provenance.json`` beside it, as a list
+        ``failures`` of objects with part, name and reason, and in its place in every other file; the rest is as it
+        would have been without.
 
     Raises
     ------
@@ -149,7 +157,8 @@ def run(
     if isinstance(campaign, Path | str) and not fresh and is_unchanged(Path(campaign), folder):
         said = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
         warn([*said["warnings"], *(f"failed, {failure.sentence}" for failure in unpack(said))])
-        return folder / "report.html"
+        page = folder / "report.html"
+        return report(folder, progress) if draw and not page.is_file() else page
     loaded = load_campaign(campaign, licence)
     check_folder(folder, loaded, fresh)
     # A campaign in memory may be another than its file.
@@ -157,19 +166,29 @@ def run(
     with held(folder):
         if fresh:
             forget(folder)
-        read_hashes(folder / KEPT)
-        page = _run(loaded, folder, notes, progress)
-        if inputs is not None:
+        page = _run(loaded, folder, notes, progress, draw, ahead)
+        # What failed for want of memory, a disk or a network is tried again by the next run.
+        if inputs is not None and not any(failure.outside for failure in notes.failures):
             write_record(folder, inputs)
     warn([*notes.warnings, *(f"failed, {failure.sentence}" for failure in notes.failures)])
     return page
 
 
-def _run(loaded: Campaign, folder: Path, notes: Notes, progress: Progress) -> Path:
+def _run(
+    loaded: Campaign,
+    folder: Path,
+    notes: Notes,
+    progress: Progress,
+    draw: bool,
+    ahead: Callable[[Progress], object] | None,
+) -> Path:
     """Compute everything, then write all of it in one step; return the report."""
     failures = notes.failures
-    of = parts(progress, costs(loaded))
+    of = parts(progress, costs(loaded, draw))
     with notes.timed("check"):
+        if ahead is not None:
+            ahead(part(of["check"], 0.0, 0.9))
+        read_hashes(folder / KEPT)
         checked = audited(loaded, of["check"], folder / KEPT)
         failures += checked.excluded
         notes.check = suspect_rows(checked.suspects)
@@ -232,7 +251,10 @@ def _run(loaded: Campaign, folder: Path, notes: Notes, progress: Progress) -> Pa
             write_finding(new / "finding.json", *finding)
         diagnosed = {} if finding is None else {key: finding[0][key] for key in ("verdict", "summary")}
         write_json(new / "provenance.json", _provenance(loaded, notes, diagnosed))
-        report_of(new, of["report"])
+        if draw:
+            report_of(new, of["report"])
+        else:
+            shutil.rmtree(new / "figures", ignore_errors=True)  # of other results
     return folder / "report.html"
 
 
@@ -273,7 +295,7 @@ def check_folder(folder: Path, campaign: Campaign, fresh: bool = False) -> None:
         )
 
 
-def costs(campaign: Campaign) -> dict[str, float]:
+def costs(campaign: Campaign, draw: bool = True) -> dict[str, float]:
     """Return what each part of a run takes beside the others: about its seconds on an ordinary computer.
 
     The check identifies the measurements, so that their records count there.
@@ -288,7 +310,7 @@ def costs(campaign: Campaign) -> dict[str, float]:
         "lobes": 0.5 * sources + slow,
         "cutting tests": 0.4 * len(campaign.cutting_tests),
         "diagnosis": 30.0 if campaign.baseline is not None else 0.0,
-        "report": 8.0,
+        "report": 8.0 if draw else 0.0,
     }
 
 
@@ -309,14 +331,24 @@ def _write_identifications(
             write_csv(folder / "tables" / f"{name}.{table}.csv", frame)
 
 
+def _started(measurement: Measurement) -> str | None:
+    """Return when a measurement was made: as it says, else the first of its records that do."""
+    said = [measurement.started, *sorted((e.started for e in measurement.records if e.started is not None), key=str)]
+    return next((when.isoformat() for when in said if when is not None), None)
+
+
 def _provenance(campaign: Campaign, notes: Notes, finding: Mapping[str, Any]) -> dict[str, Any]:
     packages = ("smfe", "numpy", "scipy", "numba", "xarray", "pandas", "h5netcdf")
     return {
         "campaign": campaign.name,
+        "machine": campaign.machine,
+        "tool": campaign.tool_name,
+        "material": campaign.material or "",
         "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "versions": {"smfe": __version__, **{p: importlib.metadata.version(p) for p in packages[1:]}},
         "inputs": [{"file": f.name, "sha256": file_hash(f)} for f in (campaign.path, *campaign.files)],
         "settings": {m.name: m.settings() for m in campaign.measurements},
+        "started": {m.name: when for m in campaign.measurements if (when := _started(m)) is not None},
         "seconds": notes.seconds,
         "warnings": notes.warnings,
         "failures": as_rows(notes.failures),

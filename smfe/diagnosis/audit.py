@@ -61,10 +61,11 @@ class Audit:
     identified: dict[str, Identification] = field(default_factory=dict)
     """Measurement, or level of a sweep -> its identification."""
     seen: list[Seen] = field(default_factory=list)  # records, by their samples
+    outside: set[Part] = field(default_factory=set)  # left out for what lies outside of input and program
 
     def add(self, parts: Parts, name: str, key: str, files: Iterable[Path], check: Callable[[Audit], None]) -> None:
         """Add what a check of one measurement or cutting test finds, or what was kept of it for the same files."""
-        if parts.path is None:
+        if parts.folder is None:
             check(self)
             return
 
@@ -92,7 +93,9 @@ class Audit:
             text = s.evidence if s.cause == "unusable" else f"left out, {s.where}: {s.evidence}; {s.advice}"
             for part in s.excludes:
                 reasons.setdefault(part, []).append(text)
-        return [Failure(*part, "; ".join(dict.fromkeys(texts))) for part, texts in reasons.items()]
+        return [
+            Failure(*part, "; ".join(dict.fromkeys(texts)), part in self.outside) for part, texts in reasons.items()
+        ]
 
 
 def audit(campaign: Campaign, progress: Progress = silent) -> list[Suspect]:
@@ -106,42 +109,14 @@ def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None =
     Identifications and suspicions are kept in the folder `kept`, and found again while neither records nor settings
     have changed.
     """
-    out = Audit()
-    whole = with_levels(campaign)
-    parts = Parts(kept, "check")
+    out, parts = Audit(), Parts(kept, "check")
     total = len(campaign.measurements) + len(campaign.cutting_tests)
     for done, measurement in enumerate(campaign.measurements):
         progress(f"checking {measurement.name}", done, total)
-        within = step(progress, done, total)
-        part = (MEASUREMENT, measurement.name)
-        failures: Failures = []
-        with attempt(failures, *part):
-            check_sweep(campaign, measurement)
-            names = {measurement.name, *(m.name for m in levels_of(measurement).values())}
-            for m in whole.measurements:
-                if measurement.method in COMPLIANCE_METHODS and m.name in names:
-                    out.identified[m.name] = (
-                        identify_measurement(campaign, m, within)
-                        if kept is None
-                        else cached_identification(campaign, m, kept, within)[0]
-                    )
-        with attempt(failures, *part):
-            asked = (_is_source(campaign, measurement.name), measurement.name in out.identified)
-            key = key_of(measurement, campaign.tool, campaign.coefficients, *asked)
-            files = (*(f for entry in measurement.records for f in entry.all_files), *measurement.background)
-            # Records in memory have no file by which they could be known again.
-            known = Parts(None, "check") if any(entry.held for entry in measurement.records) else parts
-            out.add(known, f"measurement {measurement.name}", key, files, partial(_measurement, campaign, measurement))
-        # What a record cannot be read for is said once, though both steps read it.
-        out.suspects += [fault("unusable", measurement.name, f.reason, _CORRECT, part) for f in failures[:1]]
-    for done, test in enumerate(campaign.cutting_tests, start=len(campaign.measurements)):
-        progress(f"checking {test.file.name}", done, total)
-        where, part, failures = f"cutting test, {test.file.name}", (TEST, test.file.name), []
-        with attempt(failures, *part):
-            key = key_of(test, campaign.tool, campaign.coefficients)
-            check = partial(_cutting_test, campaign, test, where, part)
-            out.add(parts, f"cutting test {done} {test.file.name}", key, [test.file], check)
-        out.suspects += [fault("unusable", where, f.reason, _CORRECT, part) for f in failures]
+        audit_measurement(campaign, measurement, out, parts, step(progress, done, total))
+    for number, test in enumerate(campaign.cutting_tests):
+        progress(f"checking {test.file.name}", number + len(campaign.measurements), total)
+        audit_test(campaign, number, test, out, parts)
     parts.forget_others()
     out.suspects += same_suspects(out.seen)
     failures = []
@@ -156,6 +131,47 @@ def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None =
     out.suspects += factor_suspects(compliances, {f.name for f in out.excluded if f.part == MEASUREMENT})
     out.suspects += _missing_entries(campaign, compliances)
     return out
+
+
+def audit_measurement(
+    campaign: Campaign, measurement: Measurement, out: Audit, parts: Parts, progress: Progress = silent
+) -> None:
+    """Identify a measurement and the levels of a sweep, audit its records, and keep both where `parts` are kept."""
+    whole, kept = with_levels(replace(campaign, measurements=(measurement,))), parts.folder
+    part = (MEASUREMENT, measurement.name)
+    failures: Failures = []
+    with attempt(failures, *part):
+        check_sweep(campaign, measurement)
+        names = {measurement.name, *(m.name for m in levels_of(measurement).values())}
+        for m in whole.measurements:
+            if measurement.method in COMPLIANCE_METHODS and m.name in names:
+                out.identified[m.name] = (
+                    identify_measurement(campaign, m, progress)
+                    if kept is None
+                    else cached_identification(campaign, m, kept, progress)[0]
+                )
+    with attempt(failures, *part):
+        asked = (_is_source(campaign, measurement.name), measurement.name in out.identified)
+        key = key_of(measurement, campaign.tool, campaign.coefficients, *asked)
+        files = (*(f for entry in measurement.records for f in entry.all_files), *measurement.background)
+        # Records in memory have no file by which they could be known again.
+        known = Parts(None, "check") if any(entry.held for entry in measurement.records) else parts
+        out.add(known, f"measurement {measurement.name}", key, files, partial(_measurement, campaign, measurement))
+    # What a record cannot be read for is said once, though both steps read it.
+    out.suspects += [fault("unusable", measurement.name, f.reason, _CORRECT, part) for f in failures[:1]]
+    out.outside |= {part for f in failures[:1] if f.outside}
+
+
+def audit_test(campaign: Campaign, number: int, test: CuttingTest, out: Audit, parts: Parts) -> None:
+    """Audit the record of a cutting test, the one of this number in its campaign."""
+    where, part = f"cutting test, {test.file.name}", (TEST, test.file.name)
+    failures: Failures = []
+    with attempt(failures, *part):
+        key = key_of(test, campaign.tool, campaign.coefficients)
+        check = partial(_cutting_test, campaign, test, where, part)
+        out.add(parts, f"cutting test {number} {test.file.name}", key, [test.file], check)
+    out.suspects += [fault("unusable", where, f.reason, _CORRECT, part) for f in failures]
+    out.outside |= {part for f in failures if f.outside}
 
 
 def _measurement(campaign: Campaign, measurement: Measurement, out: Audit) -> None:

@@ -115,7 +115,7 @@ def sign_warnings(compliance: xr.Dataset) -> tuple[str, ...]:
         if compliance.attrs.get("method") == "frf" and rising_phase(compliance["frequency"].values, phi):
             out.append(turned_text([axis + axis]))
             continue
-        largest = np.nanmax([np.abs(phi), *_other_direct(array, axis)], axis=0)
+        largest = np.fmax.reduce([np.abs(phi), *_other_direct(array, axis)])  # NaN where none is known
         clear = np.abs(phi.imag) > 0.1 * largest
         if "compliance_std" in compliance:
             std = compliance["compliance_std"].sel(response=axis, excitation=axis).values

@@ -77,7 +77,7 @@ def judge_all(
         Where verdicts are kept, and found again while neither record nor settings have changed.
     """
     rows, spectra = [], {}
-    store = Store(kept, "cut", ChatterVerdict, AxisVerdict)
+    store = verdict_store(kept)
     unpredicted: Failures | None = None if failures is None else []
     for i, test in enumerate(campaign.cutting_tests):
         progress(f"judging {test.file.name}", i, len(campaign.cutting_tests))
@@ -91,8 +91,7 @@ def judge_all(
             rows.append(_row(campaign, test, None, gone[0].reason) | predicted)
             continue
         try:
-            key = "" if kept is None else key_of(test, campaign.tool, file_hash(test.file))
-            verdict = store.get(key, partial(judge, campaign, test))
+            verdict = judged(campaign, test, store)
         except Exception as error:
             if failures is None:
                 raise
@@ -106,6 +105,17 @@ def judge_all(
     if failures is not None:
         failures += _once(unpredicted or [])
     return Verdicts(rows, spectra, condition_warnings(campaign))
+
+
+def verdict_store(kept: Path | None) -> Store:
+    """Return where verdicts of cutting tests are kept."""
+    return Store(kept, "cut", ChatterVerdict, AxisVerdict)
+
+
+def judged(campaign: Campaign, test: CuttingTest, store: Store) -> ChatterVerdict:
+    """Return the verdict of a cutting test, as it was kept while neither record nor settings have changed."""
+    key = "" if store.folder is None else key_of(test, campaign.tool, file_hash(test.file))
+    return store.get(key, partial(judge, campaign, test))
 
 
 def _once(failures: Failures) -> Failures:

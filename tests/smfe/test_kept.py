@@ -130,6 +130,6 @@ def test_a_part_is_made_again_when_its_key_is_another(tmp_path: Path) -> None:
     assert ask("a", "a", "b", "b") == [[0], [0], [0, 1], [0, 1]]
     assert ask("b") == [[0, 1]]
     assert ask() == []
-    assert list(json.loads((tmp_path / "check.json").read_text())) == ["checksum"]
+    assert not list(tmp_path.iterdir())
     assert Parts(None, "check").get("hammer", "b", make) == [0, 1, 2]
     assert key_of(1, "a") == key_of(1, "a") != key_of(1, "b")

@@ -9,7 +9,6 @@ beside the main one) or not at all (a daemonic process, a limit of the system), 
 from __future__ import annotations
 
 import multiprocessing
-import multiprocessing.connection
 import os
 import signal
 import sys
@@ -24,6 +23,7 @@ from types import TracebackType
 from process.errors import InputError
 from process.types import Real
 from smfe.diagnosis.inference.rules import RULES
+from smfe.work.leave import leave_with_parent
 
 Wanted = tuple[int, Real]
 """Number of a condition and all scaled values."""
@@ -36,7 +36,8 @@ def cores() -> int:
     """Return how many cores this process may use; 1 where processes cannot be forked safely."""
     # A fork copies the locks that other threads hold. Beside the main thread there are those that draw a bar or wait.
     main = threading.current_thread() is threading.main_thread()
-    if sys.platform != "linux" or not main or multiprocessing.current_process().daemon:
+    # A process that was started by another has others beside it, which use the cores.
+    if sys.platform != "linux" or not main or multiprocessing.parent_process() is not None:
         return 1
     return len(os.sched_getaffinity(0))
 
@@ -121,14 +122,7 @@ def _begin(ask: Ask) -> None:
     global _asked
     _asked = ask
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
-
-
-def _leave_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    multiprocessing.connection.wait([parent.sentinel])
-    os._exit(1)
+    leave_with_parent()
 
 
 def _answered(part: Sequence[Wanted]) -> list[Answer]:

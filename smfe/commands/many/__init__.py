@@ -1,0 +1,1 @@
+"""`smfe run` of many campaigns, and the catalogue of what they found."""
