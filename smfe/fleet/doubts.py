@@ -1,7 +1,8 @@
 """Which campaigns to doubt: those that were refused or had faults, those that warn, and those that lie far off.
 
-A value lies far off when it differs from the other measurements of the same mode of the same machine by more than 3.5
-robust standard deviations (the modified z score of Iglewicz and Hoaglin, How to Detect and Handle Outliers, 1993):
+A value lies far off when it differs from the other measurements of the same mode of the same machine by more than 5
+robust standard deviations (the modified z score of Iglewicz and Hoaglin, How to Detect and Handle Outliers, 1993; they
+take 3.5 for a single sample, and here thousands of values are asked at once):
 ``|x - line| / max(1.4826 MAD, s)`` with x the logarithm of frequency, damping or amplitude, the line of Theil and Sen
 over time where dates are known (a drift is no outlier), else the median, and s the value's own standard deviation.
 """
@@ -17,7 +18,7 @@ from scipy import stats
 from process.types import Real
 from smfe.fleet.tracks import QUANTITIES, Mode
 
-FAR = 3.5
+FAR = 5.0
 """Modified z score beyond which a value lies far off."""
 
 FEWEST = 5

@@ -114,6 +114,7 @@ def _strip(axes: Axes, same: Sequence[Mode], names: Sequence[str], quantity: str
         )
     axes.grid(True, axis="y", color="#dddddd", linewidth=0.5)
     axes.set_xlim(-0.6, len(names) - 0.4)
+    axes.margins(y=0.15)
     axes.tick_params(labelsize=8)
 
 
