@@ -58,7 +58,7 @@ def run(
     import smfe
 
     with terminal.bar() as progress:
-        report_file = smfe.run(campaign[0], folder, fresh, progress, terminal.show, jobs=jobs)
+        report_file = smfe.run(campaign[0], folder, fresh, progress, terminal.show, None, jobs)
     return run_outcome(report_file)
 
 
@@ -69,7 +69,7 @@ def _many(
     import smfe
 
     with terminal.bar() as progress:
-        batch = smfe.run(campaigns, folder, fresh, progress, draw=reports, jobs=jobs)
+        batch = smfe.run(campaigns, folder, fresh, progress, None, reports, jobs)
     states = list(batch.states.values())
     counts = {what: states.count(what) for what in ("done", "faults", "refused", "outside")}
     words = {"faults": "with parts that failed", "refused": "refused", "outside": "failed for reasons outside"}

@@ -21,9 +21,10 @@ SHOWN = 20
     "which campaigns to doubt; with --prior the modes to be expected of such a machine, with their covariance.",
     examples=[
         "smfe catalogue results",
-        'smfe catalogue results --machine "Mill 01" --where "frequency_Hz > 30" --since 2025-01-01 -o peaks.csv',
+        'smfe catalogue results --where "frequency_Hz > 30" --since 2025-01-01',
+        "smfe catalogue results --kind peak -o peaks.csv",
         "smfe catalogue results --draw pictures",
-        'smfe catalogue results --machine "Mill 01" --machine "Mill 02" --prior prior.toml',
+        'smfe catalogue results --machine "Mill 01" --prior prior.toml',
     ],
     keys="rows, campaigns, machines, output, pictures, prior, drift, fleet, doubts",
 )

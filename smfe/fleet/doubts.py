@@ -68,9 +68,9 @@ def doubt_table(rows: pd.DataFrame, modes: Sequence[Mode]) -> pd.DataFrame:
     table["worst_score"] = table["campaign"].map(worst).fillna(0.0)
     table["faults"] = table["campaign"].map(faults).fillna(0).astype(int) + count("failure")
     table["warnings"] = count("warning")
-    table["why"] = table["campaign"].map({n: "; ".join(t) for n, t in far.items()}).fillna("")
+    table["why"] = ["; ".join(far.get(name, ())) for name in table["campaign"]]
     refused = table["verdict"] == "refused"
-    table.loc[refused, "why"] = table["campaign"].map(campaigns["text"].fillna(""))
+    table.loc[refused, "why"] = [str(text or "") for text in campaigns.loc[refused.to_numpy(), "text"]]
     kept = table[refused | (table[["far_off", "faults", "warnings"]].sum(axis=1) > 0)]
     order = kept.assign(_refused=refused).sort_values(
         ["_refused", "worst_score", "faults", "warnings", "campaign"], ascending=[False, False, False, False, True]

@@ -145,9 +145,10 @@ def run(
     """
     if jobs is not None and jobs < 1:
         raise InputError(f"{jobs} jobs; give at least 1")
-    if isinstance(campaign, Path | str | Campaign) and is_one(campaign):
+    if is_one(campaign):
+        assert not isinstance(campaign, Sequence) or isinstance(campaign, str)
         ahead = None
-        if not isinstance(campaign, Campaign) and (jobs or 1) > 1:
+        if isinstance(campaign, Path | str) and (jobs or 1) > 1:
             ahead = partial(_ahead, Path(campaign).absolute(), Path(out).absolute(), jobs or 1)
         return run_one(campaign, out, fresh, progress, licence, draw is not False, ahead)
     assert not isinstance(campaign, Campaign)
