@@ -103,8 +103,7 @@ def lobes(source: Any, *given: Any, **named: Any) -> list[LobeResult] | xr.Datas
     Parameters
     ----------
     source : path, Campaign, xarray.Dataset, Identification, ModalModel, ModalFit, Machine, or mapping of str to some
-        Campaign, or what the lobes are computed from; of several, by name, those of each. A machine model for itself,
-        with method="operating_point".
+        Campaign, or what the lobes are computed from; of several, by name, those of each. A machine model for itself.
     output : path, optional
         NetCDF file of the lobes. None: nothing is written.
     table : path, optional
@@ -143,8 +142,9 @@ def lobes(source: Any, *given: Any, **named: Any) -> list[LobeResult] | xr.Datas
     progress : callable, optional
         Called with (what, done, of).
     **more
-        Further keys of ``[[lobes]]`` (feed_direction, maximum_depth, process_damping, flank_friction; of an operating
-        point feed, controller, position), and ``spindle`` or ``machine``, mappings with the keys of those tables.
+        Further keys of ``[[lobes]]`` (feed_direction, maximum_depth, process_damping, flank_friction, bands_up_to,
+        maps_up_to, spindle_power, spindle_torque, deflection, surface_error; of an operating point and of a machine
+        feed, controller, position), and ``spindle`` or ``machine``, mappings with the keys of those tables.
 
     Returns
     -------

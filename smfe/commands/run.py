@@ -302,6 +302,7 @@ def costs(campaign: Campaign, draw: bool = True) -> dict[str, float]:
     """
     size = sum(state(file)[0] for file in campaign.files) / 1e6
     slow = sum(10.0 for request in campaign.lobes if request.method == "semi_discretization")
+    slow += sum(5.0 for r in campaign.lobes if r.maps_up_to or r.deflection or r.surface_error)
     sources = sum(len(request.measurements) for request in campaign.lobes)
     return {
         "check": 1.0 + 0.1 * size + len(campaign.measurements),

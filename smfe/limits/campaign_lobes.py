@@ -27,7 +27,7 @@ from smfe.limits.depth_bands import bands_over, packed
 from smfe.limits.machine_lobes import machine_limits, place_of
 from smfe.limits.operating_conditions import over_conditions
 from smfe.limits.source_modes import asked_cut, fitted_modes
-from smfe.progress import Progress, step
+from smfe.progress import Progress, silent, step
 from smfe.results import LOBES, MEASUREMENT, Failures, attempt, pack_warnings
 from smfe.stored import Store, digest
 from stability import Spread, carries_errors, lobe_curves, lobe_table, operating_point, sampled_band, with_band
@@ -164,7 +164,7 @@ def _limits(
     progress: Progress,
 ) -> xr.Dataset:
     """Return the limits of a request for one source, with their band and the single lobes, at the speeds of `whole`."""
-    limits = limits_of(campaign, whole, names, compliances)
+    limits = limits_of(campaign, whole, names, compliances, progress)
     if request.method == "operating_point":
         return limits
     machine = campaign.machine_model if is_machine(campaign, names) else None
@@ -225,7 +225,11 @@ def check_sources(names: Sequence[str], compliances: Mapping[str, xr.Dataset], f
 
 
 def limits_of(
-    campaign: Campaign, request: LobeRequest, names: Sequence[str], compliances: Mapping[str, xr.Dataset]
+    campaign: Campaign,
+    request: LobeRequest,
+    names: Sequence[str],
+    compliances: Mapping[str, xr.Dataset],
+    progress: Progress = silent,
 ) -> xr.Dataset:
     """Return the limits of one request for one source.
 
@@ -239,6 +243,8 @@ def limits_of(
         The measurement or model; of an operating point all measurements.
     compliances : mapping of str to xarray.Dataset
         Measurement or model -> compliance.
+    progress : callable, optional
+        Called with (what, done, of), where each speed has a machine of its own.
     """
     assert campaign.tool is not None
     assert campaign.coefficients is not None
@@ -248,7 +254,7 @@ def limits_of(
         assert isinstance(campaign.machine_model, Machine)
         if request.method == "operating_point":
             return _at_operating_points(campaign, campaign.machine_model, request)
-        return machine_limits(campaign.machine_model, request, tool, arc, work)
+        return machine_limits(campaign.machine_model, request, tool, arc, work, progress)
     if request.method == "operating_point":
         together, notes = over_conditions(campaign, {n: compliances[n] for n in names}, request.feed_direction)
         cut = (tool, arc, work, speeds, request.feed_per_tooth)

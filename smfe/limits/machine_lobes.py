@@ -24,6 +24,7 @@ from process.machine.operating_point import OperatingPoint
 from process.types import Real
 from smfe.campaign import LobeRequest
 from smfe.limits.cut_conditions import rotation
+from smfe.progress import Progress, silent
 from stability.methods.catalogue import METHODS
 from stability.problem import NO_LOBE
 
@@ -95,7 +96,12 @@ def fed(machine: Machine, request: LobeRequest, feed: float) -> FedMachine:
 
 
 def machine_limits(
-    machine: Machine, request: LobeRequest, tool: Tool, arc: AnyEngagement, coefficients: CuttingCoefficients
+    machine: Machine,
+    request: LobeRequest,
+    tool: Tool,
+    arc: AnyEngagement,
+    coefficients: CuttingCoefficients,
+    progress: Progress = silent,
 ) -> xr.Dataset:
     """Return the limits of a machine in motion by a method for linear machines.
 
@@ -107,6 +113,8 @@ def machine_limits(
         Method, speeds, feed, direction, controller, position.
     tool, arc, coefficients
         The cut.
+    progress : callable, optional
+        Called with (what, done, of).
 
     Returns
     -------
@@ -125,7 +133,9 @@ def machine_limits(
     limits = METHODS[request.method].limits
     cut = {"tool": tool, "arc": arc, "coefficients": coefficients, "process_damping": request.process_damping}
     parts, unknown, notes = list[xr.Dataset](), list[tuple[float, str]](), [SMALL]
-    for feed in np.unique(feeds):
+    every = np.unique(feeds)
+    for done, feed in enumerate(every):
+        progress("limits at each feed", done, every.size)
         at = speeds[feeds == feed]
         try:
             here = fed(machine, request, float(feed))

@@ -132,8 +132,8 @@ def pitch_of(
     )
     checked = design.check["spindle_speed_rpm"].to_numpy()
     speeds = np.unique(np.concatenate([_thinned(asked.request.spindle_speed), checked]))
-    equal, notes = _over(asked, replace(asked.tool, pitch_angles=None), speeds, part(progress, 0.6, 0.75))
-    own, more = _over(asked, design.tool, speeds, part(progress, 0.75, 1.0))
+    equal, notes = _over(asked, replace(asked.tool, pitch_angles=None), "equal", speeds, part(progress, 0.6, 0.75))
+    own, more = _over(asked, design.tool, "", speeds, part(progress, 0.75, 1.0))
     table = own.merge(equal, on="spindle_speed_rpm", how="inner")
     both = np.isfinite(table["limit_depth_mm"]) & np.isfinite(table["equal_limit_depth_mm"])
     table["gain"] = (table["limit_depth_mm"] / table["equal_limit_depth_mm"]).where(both)
@@ -153,13 +153,15 @@ def _thinned(speeds: Real) -> Real:
     return np.asarray(speeds[at])
 
 
-def _over(asked: AskedCut, tool: Tool, speeds: Real, progress: Progress) -> tuple[pd.DataFrame, Sequence[str]]:
+def _over(
+    asked: AskedCut, tool: Tool, word: str, speeds: Real, progress: Progress
+) -> tuple[pd.DataFrame, Sequence[str]]:
     """Return limits over speeds, fastest first: slow ones ask for too many steps, and are left out with a word."""
-    prefix = "" if tool.pitch_angles is not None else "equal_"
+    prefix = f"{word}_" if word else ""
     frames, notes, down = [], [], speeds[::-1]
     for begin in range(0, down.size, _AT_ONCE):
         some = down[begin : begin + _AT_ONCE]
-        progress(f"limits with {prefix.replace('_', '') or 'unequal'} pitch", begin, down.size)
+        progress(f"limits with {word or 'unequal'} pitch", begin, down.size)
         try:
             found = semi_discretization(asked.modes, tool, asked.arc, asked.coefficients, some)
         except InputError as error:

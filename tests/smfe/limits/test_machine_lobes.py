@@ -146,3 +146,28 @@ def test_a_long_dead_time_of_a_fast_mode_is_said():
 def test_a_feed_of_a_measurement_is_refused():
     with pytest.raises(InputError, match="and the machine of \\[machine\\] ask for"):
         campaign(method="zero_order", sources=("other",), feed="100 mm/min")
+
+
+def test_strips_of_work_under_a_moving_machine_have_the_same_limit_by_operating_point_and_zero_order():
+    strips = {"cut": "strips", "strips": [["-20 mm", "-8 mm"], ["5 mm", "20 mm"]], "width_of_cut": None}
+    asked = {**strips, "controller": "K3", "feed": "250 mm/min", "spindle_speed": "1500 rpm"}
+    depth = []
+    for method in ("zero_order", "operating_point"):
+        (found,) = all_lobes(campaign(method=method, **asked), {}, silent)
+        assert found.asked.width_of_cut == pytest.approx(0.027)
+        depth.append(float(found.lobes["limit_depth"][0]))
+    assert depth[0] == pytest.approx(depth[1], rel=3e-3)
+    assert depth[0] > 3.0  # less work in the cut than in the slot
+
+
+def test_the_pitch_for_a_machine_in_motion_is_that_of_one_feed(tmp_path):
+    """Two teeth a right angle apart cut at any time in this slot: equal pitch stays best, and both curves are one."""
+    asked = {"method": "semi_discretization", "controller": "K3", "spindle_speed": ["1200 rpm", "1300 rpm", "50 rpm"]}
+    found = smfe.pitch(campaign(**asked, feed="800 mm/min"), 1250.0, tmp_path)
+    assert found.least_mm == pytest.approx(float(found.design.check["limit_depth_mm"].min()))
+    assert found.design.pattern == "equal"
+    np.testing.assert_allclose(found.table["gain"], 1.0, rtol=1e-3)
+    assert any("no unequal pitch" in note for note in found.notes)
+    assert (tmp_path / "figures" / "pitch.png").is_file()
+    with pytest.raises(InputError, match="say one feed in"):
+        smfe.pitch(campaign(**asked), 1250.0)
