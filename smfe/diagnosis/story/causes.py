@@ -58,7 +58,9 @@ ROWS: Mapping[str, Row] = {
         "{shear_force} more in motion than near rest, built up over {shear_speed}",
     ),
     "friction_asymmetry": Row(
-        LEFT_OUT, "friction that depends on the direction", "forwards {direction:more|less} than backwards"
+        LEFT_OUT,
+        "friction that depends on the direction",
+        "it brakes {direction:more|less} forwards than backwards",
     ),
     "position_friction": Row(LEFT_OUT, "a force that changes along the stroke"),
     "position_friction/bent": Row(LEFT_OUT, "a force that changes along the stroke"),
@@ -83,7 +85,7 @@ ROWS: Mapping[str, Row] = {
     "missing_mode/in band": Row(LEFT_OUT, "a mode of the machine", _MODE_FOUND),
     "missing_mode/above": Row(LEFT_OUT, "the flexibility of modes above the band"),
     "spindle_speed_dynamics": Row(LEFT_OUT, "modes that change with the spindle's speed"),
-    "cross_axis_coupling": Row(WRONG, "the directions of the modes: the axes are coupled"),
+    "cross_axis_coupling": Row(WRONG, "the directions of the modes, which couple the axes"),
     "modal_scale": Row(WRONG, "the scale of all modes", "stiffness and mass are {scale_error:higher|lower}"),
     "modal_mass": Row(WRONG, "the mass of all modes", "it is {mass_error:higher|lower}"),
     "modal_frequency": Row(WRONG, "the natural frequencies of the modes"),
@@ -140,6 +142,15 @@ YES_OR_NO = (
 """Causes whose number says only that they are there."""
 
 _SIGNED = {"%": ("higher", "lower"), "%/m": ("higher a metre further", "lower a metre further")}
+_SHARES = ("micro_slip", "gap_share", "joint_iwan", "joint_micro_slip", "joint_hardening", "hold_")
+"""Beginnings of the names of parameters in percent that are a share of something and no change."""
+
+_REVERSED = {
+    "reversed_force": "the sign of force or acceleration is wrong",
+    **{f"reversed_{a}": f"the sign of the accelerometer along {a} is wrong" for a in "xyz"},
+}
+"""Parameter of a compliance whose sensor has the wrong sign -> what is at fault."""
+
 _MOST_NUMBERS = 4
 _OPEN = 3.0
 """Ratio of the ends of an interval from which a force is not told as a number."""
@@ -149,6 +160,8 @@ def row_of(cause: FoundCause) -> Row:
     """Return how a cause is told; one that has no row by its title and its parameters."""
     key = f"{cause.id}/{cause.variant}" if cause.variant else cause.id
     how = MEASURED if cause.kind == "measurement" else LEFT_OUT
+    if cause.parameters and (said := _REVERSED.get(cause.parameters[0].name)):
+        return Row(MEASURED, said)
     return ROWS.get(key) or ROWS.get(cause.id) or Row(how, _lower(cause.title))
 
 
@@ -216,11 +229,16 @@ def _open(interval: tuple[float, float]) -> str:
 
 def _one_by_one(parameters: Sequence[Estimate], intervals: bool) -> str:
     shown = sorted((e for e in parameters if e.value != 0.0), key=_importance, reverse=True)[:_MOST_NUMBERS]
-    said = [
-        f"{parameter_words(e.name)} {Number(e, intervals):{'|'.join(_SIGNED.get(e.unit, ('', '')))}}" for e in shown
-    ]
+    said = [_one(e, intervals) for e in shown]
     more = len([e for e in parameters if e.value != 0.0]) - len(shown)
     return listed([*said, *([f"{more} more"] if more > 0 else [])])
+
+
+def _one(e: Estimate, intervals: bool) -> str:
+    """Return a parameter with its number: "stiffness 6.0 % higher a metre further", "radius of tooth 2: 15 µm"."""
+    signs = () if e.name.startswith(_SHARES) else _SIGNED.get(e.unit, ())
+    words = parameter_words(e.name)
+    return f"{words}{':' if words[-1:].isdigit() else ''} {Number(e, intervals):{'|'.join(signs)}}"
 
 
 def _importance(e: Estimate) -> float:
@@ -243,10 +261,11 @@ class Number:
         if words and value < 0.0:
             value, low, high = -value, -high, -low
         word = f" {words[e.value < 0.0]}" if words else ""
+        unit = "%" if words and e.unit == "%/m" else e.unit  # the words say that it is over a metre
         if self.intervals:
-            return with_interval(value, low, high, e.unit) + word
-        shown = percent(value / 100.0) if e.unit == "%" else rounded(value, 2)
-        return f"{shown}{unit_text(e.unit)}{word}"
+            return with_interval(value, low, high, unit) + word
+        shown = percent(value / 100.0) if unit == "%" else rounded(value, 2)
+        return f"{shown}{unit_text(unit)}{word}"
 
 
 def _lower(title: str) -> str:

@@ -112,7 +112,12 @@ def _given(finding: Finding, setting: Setting) -> Iterator[str]:
         yield f"{_capital(given_words(g))}: given {given}, found {value}{_worth(g)}{alone}."
     shown = sorted(told, key=lambda g: -abs(g.cost or 0.0))[:_MOST_GIVEN]
     if shown:
-        said = [f"{given_words(g)} {rounded(g.given)} (found {_found(g)})" for g in shown]
+        said = [
+            f"{given_words(g)} {rounded(g.given)} (found {_found(g)})"
+            if g.given
+            else f"{given_words(g)} (off by {_found(g)})"
+            for g in shown
+        ]
         more = len(told) - len(shown)
         also = [count_words(more, "more parameter")] if more else []
         yield f"As declared: {listed([*said, *also])}."
@@ -276,7 +281,7 @@ def _causes(finding: Finding, setting: Setting) -> Iterator[str]:
         friction = setting.friction if len(finding.causes) > 1 else None
         numbers, worth = numbers_of(cause, True, friction), f"not proven on {where} that it was not fitted to"
         if cause.gain_db is not None:
-            worth = f"worth {cause.gain_db:.0f} dB of the error that repeats, on {where} left out of the fit"
+            worth = _worth_of(cause.gain_db, where)
         yield f"{_capital(_name(cause))}{f': {numbers}' if numbers else ''}; {worth}."
     for alike in sets_of(finding.causes):
         if len(alike) > 1:
@@ -286,6 +291,13 @@ def _causes(finding: Finding, setting: Setting) -> Iterator[str]:
             )
     for group in finding.alternatives:
         yield f"These measurements do not separate {listed([_title(c) for c in group], 'from')}."
+
+
+def _worth_of(gain_db: float, where: str) -> str:
+    """Return what a cause is worth: by how much the error grows without it."""
+    times = rounded(10.0 ** (gain_db / 20.0), 2)
+    size = f"{times} times as large ({gain_db:.0f} dB)"
+    return f"without it the error that repeats is {size}, on {where} left out of the fit"
 
 
 def _separated(finding: Finding) -> str:
@@ -506,8 +518,10 @@ def _power(finding: Finding, setting: Setting) -> Iterator[str]:
         return
     seen: dict[str, list[Detectable]] = {}
     found = {c.id for c in finding.causes}
+    # What the next experiment is to show has been said with it, beside the model that was found.
+    said_before = {r.title for r in finding.next_experiment.reveals} if finding.next_experiment is not None else set()
     for p in finding.detectable:
-        if p.cause.partition("/")[0] not in found:
+        if p.cause.partition("/")[0] not in found and p.title not in said_before:
             seen.setdefault(p.cause, []).append(p)
     shown = {key: own for key, many in seen.items() if (own := [p for p in many if p.admissible])}
     if shown:

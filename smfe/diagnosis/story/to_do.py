@@ -29,17 +29,20 @@ _POSITION = "Measure at three positions along the stroke, declare them ([machine
 _SESSION = "Warm the machine up, and return to the first condition at the end: what drifts is then seen, and left out"
 _COEFFICIENTS = "Measure the coefficients again (four feeds per tooth in one slot, smfe coefficients)"
 _MODES = "Measure the modes again and write them into the [[model]], as the extended campaign has them"
-_CALIBRATE = "Compare the acceleration of a free mass under a known force, |a/F| = 1/m, and declare the scale"
+_CALIBRATE = (
+    "Load the force sensor with a known weight, or compare the acceleration of a free mass under a known force "
+    "(|a/F| = 1/m), and declare the scale"
+)
 
 ROWS: Mapping[str, tuple[str, str]] = {
     # a feed axis, drive records
     "guideway_friction": ("", _MOTION),
     "guideway_friction/level": (
-        "Correct the friction of the campaign: it is {friction_level:higher|lower}",
+        "Correct the friction of the campaign: it has to be {friction_level:higher|lower}",
         "Correct the friction of the campaign",
     ),
-    "low_speed_friction/stribeck": ("", "Keep the feed well above the speed at which the friction falls; " + _REGREASE),
-    "low_speed_friction/shear": ("", "Warm the axis up before it is measured or cuts; " + _REGREASE),
+    "low_speed_friction/stribeck": ("", "Keep the feed well above the speed at which the friction falls. " + _REGREASE),
+    "low_speed_friction/shear": ("", "Warm the axis up before it is measured or cuts. " + _REGREASE),
     "friction_asymmetry": (
         "",
         "Take both directions apart: lobes of one hold for it alone. Look at wipers, at the counterweight and at the "
@@ -62,7 +65,7 @@ ROWS: Mapping[str, tuple[str, str]] = {
         "Read the gains in the control; write them into the campaign, or set the control to what was meant",
     ),
     "loop_delay": (
-        "Write delay = {dead_time} into the campaign; if the loop is to be faster, look for filters of the velocity, "
+        "Set delay to {dead_time} in the campaign; if the loop is to be faster, look for filters of the velocity, "
         "the cycle of the control and its bus",
         "Write the delay into the campaign; look for filters of the velocity, the cycle of the control and its bus",
     ),
@@ -89,11 +92,11 @@ ROWS: Mapping[str, tuple[str, str]] = {
     ),
     "modal_scale": (
         "Check the calibration of hammer and accelerometer with a free mass; if they are right, correct the [[model]]: "
-        "stiffness and mass are {scale_error:higher|lower}",
+        "stiffness and mass have to be {scale_error:higher|lower}",
         "Check the calibration of hammer and accelerometer with a free mass; if they are right, correct the [[model]]",
     ),
     "modal_mass": (
-        "Correct the [[model]]: its masses are {mass_error:higher|lower} at the same stiffness",
+        "Correct the masses of the [[model]]: they have to be {mass_error:higher|lower} at the same stiffness",
         "Correct the masses of the [[model]]",
     ),
     "modal_frequency": (_MODES, _MODES),
@@ -128,7 +131,10 @@ ROWS: Mapping[str, tuple[str, str]] = {
         "was found, {runout}",
         "True the tool in its holder, and give each insert its runout in [tool]",
     ),
-    "unbalance": ("", "Balance tool and holder: the force grows with the square of the speed and turns in air, too"),
+    "background_tone/unbalance": (
+        "",
+        "Balance tool and holder: the force grows with the square of the speed and turns in air, too",
+    ),
     # sensors
     "accelerometer_mass": (
         "Declare accelerometer_mass = {sensor_mass} with the measurement, or take a lighter sensor or a laser",
@@ -149,6 +155,10 @@ ROWS: Mapping[str, tuple[str, str]] = {
     "sensor_axis/turned": (
         "Turn the sensor back by {angle_found}, or declare its axes as it is mounted",
         "Mount the sensor along the axes of the machine",
+    ),
+    "sensor_axis/turned_over": (
+        "",
+        "Exchange the columns of force_x and force_y in [channels], and set sign = -1 on force_z",
     ),
     "sensor_offset": ("", "Zero the force sensor in air before each cut; look for drift of its charge amplifier"),
     "dynamometer_dynamics": (
@@ -183,7 +193,7 @@ def action(cause: FoundCause, facts: Mapping[str, str] | None = None) -> str:
     values |= _made(cause) | dict(facts or {})
     if cause.id == "sensor_gain" and (turned := _turned_round(cause)):
         return turned
-    if cause.id == "sensor_axis" and "exchanged" in values:
+    if cause.id == "sensor_axis" and "exchanged" in values and cause.variant != "turned_over":
         known, anyhow = ROWS["sensor_axis"]
     try:
         return known.format_map(values) if known else anyhow
@@ -225,6 +235,8 @@ def channel_of(parameter: str) -> str:
     """Return the channel whose gain a parameter is: ``gain_x`` of an accelerometer, ``gain_force``, ``gain_error``."""
     known = dict.fromkeys(("gain_force", "reversed_force"), "the force")
     known |= {"gain_error": "force or acceleration", "force_gain.error": "the drive force"}
+    known |= {"gain_common": "all channels of the force sensor", "sign": "force_x, force_y and force_z"}
+    known |= {f"sign_{a}": f"force_{a}" for a in "xyz"}
     return known.get(parameter) or f"the sensor along {parameter[-1]}"
 
 
@@ -233,7 +245,11 @@ def _turned_round(cause: FoundCause) -> str:
     wrong = [
         e
         for e in cause.parameters
-        if (e.value > 0.5 if e.name.startswith("reversed_") else _WRONG_SIGN[0] < e.value / 100.0 < _WRONG_SIGN[1])
+        if (
+            e.value > 0.5
+            if e.name.startswith(("reversed_", "sign"))
+            else _WRONG_SIGN[0] < e.value / 100.0 < _WRONG_SIGN[1]
+        )
     ]
     if wrong:
         return f"Turn the sensor's sign: sign = -1 on {' and '.join(channel_of(e.name) for e in wrong)} in [channels]"

@@ -23,7 +23,7 @@ _MODE = {
 _MATRIX = {
     "posture": "stiffness along the stroke",
     "curved": "stiffness along the stroke",
-    "drift": "stiffness over the session",
+    "drift": "stiffness at the end of the session",
     "bearings": "stiffness with the spindle's speed",
     "also_bearings": "stiffness with the spindle's speed",
     "gyroscopic": "coupling by the turning spindle",
@@ -43,7 +43,7 @@ _SENSOR = {
     "residual": "flexibility {} of modes above the band",
     "dynamometer": "flexibility of the dynamometer along {}",
     "dynamometer_lag": "lag of the dynamometer along {}",
-    "size_effect": "change of K{}c with the chip thickness",
+    "size_effect": "exponent of K{}c over the chip thickness",
     "loose": "distance over which the {} guideway comes loose",
     "hold": "hold of the {} guideway at rest",
     "fall": "friction of the {} guideway that falls with speed",
@@ -54,6 +54,7 @@ _SENSOR = {
     "contact_loss": "loss factor of the contact of the {} guideway",
     "push": "speed that a hit gives the {} slide",
     "friction": "friction of the {} guideway beyond what is declared",
+    "stribeck_speed": "Stribeck speed of the {} guideway",
 }
 
 PARAMETERS = {
@@ -82,8 +83,8 @@ PARAMETERS = {
     "Ti_error": "integral time Ti",
     "Kv_error": "position gain Kv",
     "extra_delay": "further dead time",
-    "stiffness_per_metre": "change of the stiffness along the stroke",
-    "stiffness_over_session": "change of the stiffness over the session",
+    "stiffness_per_metre": "stiffness",
+    "stiffness_over_session": "stiffness at the end of the session",
     "sensor_mass": "mass of the sensor",
     "gain_error": "gain of the sensor",
     "skew": "time between force and motion",
@@ -227,6 +228,8 @@ def unit_text(unit: str) -> str:
         "0/1": "",
         "N/um^3": "N/µm³",
         "N/mm^2": "N/mm²",
+        "1/kHz^2": "1/kHz²",
+        "N s4/m": "N s⁴/m",
     }.get(unit, unit)
     return "" if not shown else shown if shown == "°" else f" {shown}"
 

@@ -87,7 +87,7 @@ def test_gains_are_told_as_the_control_has_them_beside_what_the_campaign_says() 
     assert "Kp 8150 N s/m in place of 6270" in said
     assert "Ti" not in said
     delay = declared("loop_delay", "extra_delay", 0.4)
-    assert 'Write delay = "0.4 ms" into the campaign' in action(delay, facts_of(family, values))
+    assert 'Set delay to "0.4 ms" in the campaign' in action(delay, facts_of(family, values))
 
 
 def test_coefficients_are_told_in_newtons_per_square_millimetre() -> None:
