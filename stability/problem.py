@@ -51,6 +51,16 @@ class Cut:
     process_damping: ProcessDamping = NO_DAMPING
 
     @property
+    def twist(self) -> float:
+        """How far the upper end of the edges runs behind the tip, a unit of depth [rad/m]: ``2 tan(helix)/D``."""
+        return 2.0 * math.tan(self.tool.helix_angle) / self.tool.diameter
+
+    @property
+    def helix_pitch(self) -> float:
+        """Depth [m] over which a helical edge runs behind by the mean angle between two teeth; inf if straight."""
+        return 2.0 * math.pi / (self.tool.teeth * self.twist) if self.twist > 0.0 else math.inf
+
+    @property
     def worn(self) -> bool:
         """Whether the flank resists the vibration at all."""
         return self.process_damping.coefficient > 0.0
@@ -83,9 +93,11 @@ class Cut:
     def mean_warnings(self) -> tuple[str, ...]:
         """The same where the mean directional matrix stands for the cut: it does not know a helix.
 
-        Each part of the edge passes the same arc in a turn, only later: averaged over a turn it does what that of a
-        straight edge does, whatever the helix. What is lost is what the mean loses anyhow, and a helix changes: the
-        harmonics, and with them period doubling.
+        Over edges that run behind by ``t = 2 a_p tan(helix)/D`` the harmonic k of the directional matrix is multiplied
+        by ``sin(k t/2)/(k t/2) exp(-j k t/2)``, the mean, k = 0, by one at every depth; at whole helix pitches the
+        others vanish and the mean is all there is. Each part of the edge passes the same arc in a turn, only later:
+        averaged over a turn it does what that of a straight edge does. What is lost is what the mean loses anyhow, and
+        a helix changes: the harmonics, and with them period doubling.
         """
         if self.tool.helix_angle == 0.0:
             return self.warnings
@@ -338,24 +350,8 @@ class Pattern:
         return 60.0 / (spindle_speed * self.repeats)
 
 
-def pattern_of(tool: Tool, method: str) -> Pattern:
-    """Return the pattern of a tool.
-
-    Raises
-    ------
-    InputError
-        For a helix: the engagement then depends on the depth that is asked for.
-    """
-    if tool.helix_angle > 0.0:
-        raise InputError(
-            f"the tool has a helix of {math.degrees(tool.helix_angle):g} deg; the {method} needs straight edges: a "
-            "helix makes the engagement depend on the depth. Leave helix_angle out to neglect it"
-        )
-    return pattern_of_pitch(tool)
-
-
 def pattern_of_pitch(tool: Tool) -> Pattern:
-    """Return the pattern of the pitch angles alone."""
+    """Return the pattern of the pitch angles of a tool."""
     lag = tool.tooth_angles()
     pitch = np.diff(np.append(lag, 2.0 * math.pi))
     shift = next(s for s in range(1, lag.size + 1) if np.allclose(pitch, np.roll(pitch, s), rtol=0.0, atol=1e-9))

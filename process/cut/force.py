@@ -177,6 +177,30 @@ def gram_matrix(arc: AnyEngagement, order: int = 0) -> Complex:
     return total
 
 
+def twisted_gram(arc: AnyEngagement, angle: Real, twist: float) -> Real:
+    """Return ``(s, c, 1)(s, c, 1)^T`` where in the cut, averaged over a helical edge, shape (n, 3, 3).
+
+    The tip is at `angle` [rad], any number of turns, and the upper end `twist` [rad] behind it: ``(integral
+    phi - twist to phi)/twist`` of what a straight edge does, in closed form.
+    """
+
+    def antiderivative(phi: Real) -> Real:
+        s, c, twice = np.sin(phi), np.cos(phi), 0.25 * np.sin(2.0 * phi)
+        rows = [[0.5 * phi - twice, 0.5 * s * s, -c], [0.5 * s * s, 0.5 * phi + twice, s], [-c, s, phi]]
+        return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+    def upto(phi: Real) -> Real:
+        turns, rest = np.divmod(phi, 2.0 * math.pi)
+        out = np.zeros((*phi.shape, 3, 3))
+        for part in arc.arcs:
+            start = antiderivative(np.array(part.entry))
+            whole = antiderivative(np.array(part.exit)) - start
+            out += turns[..., None, None] * whole + antiderivative(np.clip(rest, part.entry, part.exit)) - start
+        return out
+
+    return np.asarray((upto(angle) - upto(angle - twist)) / twist)
+
+
 def directional_matrix(tool: Tool, arc: AnyEngagement, coefficients: CuttingCoefficients, order: int = 0) -> Complex:
     """Return the Fourier coefficient of the directional matrix, ``A_r = N/(2 pi) P Gram_r Q``.
 

@@ -445,3 +445,19 @@ def determinant_signs(matrices, depths):
                 work[i, i] += 1.0
             out[a, d] = np.linalg.slogdet(work)[0]
     return out
+
+
+@njit(cache=True, nogil=True)
+def may_reach(matrix, least):
+    """Whether an eigenvalue of a matrix may be as large as `least`: no power is larger than its norm says."""
+    power = matrix / least
+    for _ in range(4):
+        size = 0.0
+        for value in power.ravel():
+            size += value.real**2 + value.imag**2
+        if size < 1.0:
+            return False
+        if not size < 1e100:
+            return True
+        power = power @ power
+    return True

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -66,7 +67,9 @@ def angle_grid(poles: Complex, count: int) -> Real:
     return np.asarray(grid[apart])
 
 
-def find_crossings(curve: Curve, angles: Real, deepest: float | None = None) -> list[Crossing]:
+def find_crossings(
+    curve: Curve, angles: Real, deepest: float | None = None, shallower: float | None = None
+) -> list[Crossing]:
     """Return crossings, lowest depth first.
 
     Parameters
@@ -78,6 +81,9 @@ def find_crossings(curve: Curve, angles: Real, deepest: float | None = None) -> 
     deepest : float, optional
         Depth [m] up to which all crossings are wanted. Without it only the lowest one is certain to be there:
         intervals that can only hold deeper ones than those found so far are left out.
+    shallower : float, optional
+        Depth [m] of a crossing that is known: deeper ones are left out from the beginning, and with them eigenvalues
+        below half of `RULES.share_of_bound` of 1/depth, which `curve` need not return.
     """
     values = curve(angles)
     samples = list(zip(angles.tolist(), values, strict=True))
@@ -87,16 +93,16 @@ def find_crossings(curve: Curve, angles: Real, deepest: float | None = None) -> 
     if isinstance(values, np.ndarray):
         size, real = np.abs(values).max(axis=1), values.real.max(axis=1)
     else:
-        size, real = (np.array([part(v).max() for v in values]) for part in (np.abs, np.real))
+        size, real = (np.array([part(v).max(initial=0.0) for v in values]) for part in (np.abs, np.real))
     largest = float(size.max())
     if largest == 0.0:
         return []
-    beyond = deepest or 1.0 / (RULES.negligible_eigenvalue * largest)
+    beyond = deepest or shallower or 1.0 / (RULES.negligible_eigenvalue * largest)
     found = [c for c in found if c.depth <= beyond]
     reach = np.maximum(real[:-1], real[1:])
     bound = deepest or min([beyond, *(c.depth for c in found)])
     for i in np.argsort(-reach, kind="stable"):
-        least = 0.7 / bound
+        least = RULES.share_of_bound / bound
         if size[i] > least and size[i + 1] > 0.5 * least:
             new = list(_between(curve, samples[i], samples[i + 1], least))
             found.extend(new)
@@ -275,3 +281,118 @@ def relative_change(old: Crossing | None, new: Crossing | None) -> float:
     if old is None or new is None:
         return 0.0 if old is new else math.inf
     return abs(new.depth / old.depth - 1.0)
+
+
+# --- a helix: the matrix depends on the depth, over which the edges lie ----------------------------------------------
+
+
+class Twisted(Protocol):
+    """The cut with edges that reach over one depth: a problem with eigenvalues 1/depth like that of straight edges."""
+
+    def crossings(self, deepest: float) -> list[Crossing]:
+        """Return all crossings up to a depth [m], lowest first."""
+
+    def near(self, crossing: Crossing) -> Crossing | None:
+        """Return the crossing near one of another reach; None where there is none."""
+
+    def stable_at(self, depth: float) -> bool:
+        """Whether the cut is stable at a depth [m]."""
+
+
+Reaches = Callable[[float], Twisted]
+"""Depth [m] over which the edges reach -> the cut with these edges."""
+
+
+def meet(reaches: Reaches, crossing: Crossing) -> Crossing | None:
+    """Return the crossing near another at which the edges reach as deep as the cut (secant method); None: it is lost.
+
+    With edges that reach over s the crossing lies at the depth a(s); asked is ``a(s) = s``.
+    """
+    reach, at, before = crossing.depth, crossing, None
+    for _ in range(20):
+        new = reaches(reach).near(at)
+        if new is None:
+            return None
+        apart = new.depth - reach
+        if abs(apart) <= 1e-7 * reach:
+            return new
+        step = apart
+        if before is not None and before[1] != apart:
+            step = -apart * (reach - before[0]) / (apart - before[1])
+        before, at = (reach, apart), new
+        reach += max(-0.2 * reach, min(0.2 * reach, step))
+    return None
+
+
+def helix_crossings(reaches: Reaches, pitch: float, deepest: float) -> Iterator[Crossing]:
+    """Yield the crossings of a cut with a helix, lowest first.
+
+    The depth is cut in pieces of a small part of the helix pitch. In each the matrix hardly changes: the crossings of
+    edges that reach to its middle are all there can be, and each is followed to where the edges reach as deep as the
+    cut. Where stability changes over a piece and no crossing was found, that place is closed in on.
+    """
+    low, stable = 0.0, True
+    while low < deepest:
+        high = min(deepest, low + max(1.0 / RULES.pieces_a_pitch, low / (pitch * RULES.pieces_of_depth)) * pitch)
+        margin = 0.5 * (high - low)
+        candidates = reaches(0.5 * (low + high)).crossings(high + margin)
+        followed = [meet(reaches, c) for c in candidates if c.depth > low - margin]
+        found: list[Crossing] = []
+        for new in sorted((c for c in followed if c is not None), key=lambda c: c.depth):
+            same = found and abs(new.depth / found[-1].depth - 1.0) < 1e-5 and abs(new.angle - found[-1].angle) < 1e-4
+            if low < new.depth <= high and not same:
+                found.append(new)
+        after = reaches(high).stable_at(high)
+        if not found and after != stable:
+            found = [_closed_in(reaches, low, high, stable)]
+        yield from found
+        low, stable = high, after
+
+
+def _closed_in(reaches: Reaches, low: float, high: float, stable: bool) -> Crossing:
+    """Return the crossing between a depth [m] and another at which the cut is stable, or not, other than there."""
+    while high - low > 1e-5 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if reaches(middle).stable_at(middle) == stable else (low, middle)
+    near = reaches(high).crossings(1.1 * high)
+    angle = min(near, key=lambda c: abs(c.depth - high)).angle if near else math.pi
+    return Crossing(angle, high)
+
+
+def first_with_helix(
+    finer: Callable[[int], Reaches | None], pitch: float, deepest: float, tolerance: float
+) -> tuple[Crossing | None, float, int]:
+    """Return the first crossing of a cut with a helix, its last relative change, and how often it was refined.
+
+    Parameters
+    ----------
+    finer : callable
+        Times refined -> the cut; None where it is not refined so far.
+    pitch : float
+        Helix pitch [m].
+    deepest : float
+        Depth [m] beyond which no limit is of use.
+    tolerance : float
+        Relative change at which the refinement ends.
+    """
+
+    def first(at: Reaches) -> Crossing | None:
+        return next(helix_crossings(at, pitch, deepest), None)
+
+    at, level, change = finer(0), 0, math.inf
+    assert at is not None
+    old = first(at)
+    while (better := finer(level + 1)) is not None:
+        new = meet(better, old) if old is not None else None
+        change = relative_change(old, new)
+        if new is None or change > tolerance or not _stable_below(better, new.depth):
+            new = first(better)
+            change = relative_change(old, new)
+        old, level = new, level + 1
+        if change <= tolerance:
+            break
+    return old, change, level
+
+
+def _stable_below(at: Reaches, depth: float) -> bool:
+    return all(at(share * depth).stable_at(share * depth) for share in RULES.confirmed_shares)

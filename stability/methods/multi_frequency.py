@@ -14,6 +14,10 @@ w is scanned over [0, w_P/2]. A real motion holds with every line its conjugate:
 and its real eigenvalues are folds (multiplier +1) and period doublings (-1) exactly. A fold needs unequal pitch: with
 equal pitch a motion that repeats leaves no wave.
 
+Along a helix the edges run behind by ``t = 2 a_p tan(helix)/D``: the harmonic k of a turn is multiplied by
+``sin(k t/2)/(k t/2)``, and the depth is asked at which the edges reach as deep as the cut
+(`floquet_crossings.helix_crossings`).
+
 Harmonics are added, twice as many and more each time, until the limit stands still; a set with which it does not is
 scanned over the whole range of w again. Nyquist's criterion then confirms that the cut is stable just below the limit.
 Source: Budak and Altintas 1998; Merdol and Altintas 2004; :eq:`multi-frequency`.
@@ -24,7 +28,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -33,7 +37,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import find_peaks
 
-from process.cut.engagement import AnyEngagement, Engagement
+from process.cut.engagement import AnyEngagement
 from process.cut.force import (
     NO_DAMPING,
     CuttingCoefficients,
@@ -48,9 +52,11 @@ from process.types import Complex, Real
 from stability.methods import _floquet_kernels as kernels
 from stability.methods.floquet_crossings import (
     Crossing,
+    Reaches,
     angle_grid,
     approach,
     find_crossings,
+    first_with_helix,
     follow,
     followed_angle,
     is_unstable,
@@ -69,10 +75,8 @@ from stability.problem import (
     complete_samples,
     edge_warnings,
     modes_of,
-    pattern_of,
+    pattern_of_pitch,
 )
-
-METHOD = "multi-frequency method"
 
 
 @dataclass(frozen=True)
@@ -89,12 +93,22 @@ class _Response:
         Frequency [Hz] that the harmonics should reach at least.
     warnings : tuple of str
         What the user must know about the data.
+    lines : ndarray, optional
+        Frequencies [Hz] of measured samples, between which the compliance bends; none of modes.
     """
 
     at: Callable[[Real], Complex]
     resonance: Complex
     highest: float
     warnings: tuple[str, ...]
+    lines: Real | None = None
+
+    def step(self, frequency: Real) -> Real:
+        """Return the spacing [Hz] of the samples about frequencies [Hz] of either sign; inf where there are none."""
+        if self.lines is None:
+            return np.full(frequency.shape, math.inf)
+        place = np.searchsorted(self.lines, np.abs(frequency))
+        return np.concatenate([[math.inf], np.diff(self.lines), [math.inf]])[place]
 
 
 def multi_frequency(
@@ -115,7 +129,7 @@ def multi_frequency(
         each entry is a cubic, across a gap a straight line; below the first sample it keeps the real part, above the
         last it is zero.
     tool, arc, coefficients
-        The cut; straight edges, any pitch.
+        The cut; any pitch and helix.
     spindle_speed : array_like, shape (speeds,)
         Spindle speeds [rpm], in any order.
     tolerance : float, optional
@@ -134,7 +148,7 @@ def multi_frequency(
     Raises
     ------
     InputError
-        For a helix, an unusable compliance or machine, speeds that are not positive, or so low that the harmonics do
+        For an unusable compliance or machine, speeds that are not positive, or so low that the harmonics do
         not reach the modes.
     """
     speed = check_spindle_speed(spindle_speed)
@@ -143,11 +157,13 @@ def multi_frequency(
     response = _measured(compliance) if isinstance(compliance, xr.Dataset) else _modal(compliance)
     cut = Cut(tool, arc, coefficients, process_damping)
     size = np.abs(response.at(np.linspace(0.0, response.highest, 9))).max(axis=0)
-    lines = _Lines(cut, pattern_of(tool, METHOD), size.max(axis=0) > 0.0, size.max(axis=1) > 0.0)
+    lines = _Lines(cut, pattern_of_pitch(tool), size.max(axis=0) > 0.0, size.max(axis=1) > 0.0)
     _require_reach(response, lines, float(speed.min()))
-    if isinstance(compliance, xr.Dataset):
-        # Noise of a record makes crossings that come and go from line to line: followed ones overlook the next.
-        limits = [_limit(response, lines, float(n), tolerance).limit for n in speed]
+    if cut.twist > 0.0:
+        limits = [_limit_with_helix(response, lines, float(n), tolerance) for n in speed]
+    elif isinstance(compliance, xr.Dataset):
+        # Noise of a record makes crossings that come and go from line to line: each speed is scanned line by line.
+        limits = [_limit_of_record(response, lines, float(n), tolerance) for n in speed]
     else:
         limits = _all(response, lines, speed, tolerance)
     warnings = [*cut.warnings, *response.warnings]
@@ -192,7 +208,7 @@ def _measured(compliance: xr.Dataset) -> _Response:
         f"harmonics above {f[-1]:.6g} Hz find no compliance, those below {f[0]:.6g} Hz the real part at {f[0]:.6g} Hz",
     )
     top = float(f[peaks].max()) if peaks.size else float(f[-1])
-    return _Response(_interpolant(samples), poles, top, warnings)
+    return _Response(_interpolant(samples), poles, top, warnings, f)
 
 
 def _half_width(f: Real, size: Real, peaks: NDArray[np.int64]) -> Real:
@@ -232,18 +248,32 @@ def _interpolant(samples: Samples) -> Callable[[Real], Complex]:
 class _Lines:
     """The harmonics of the directional matrix of a cut, computed once for all speeds.
 
-    moved, felt: directions of a force that moves anything, and of a motion that there can be, (3,).
+    moved, felt: directions of a force that moves anything, and of a motion that there can be, (3,). behind: angle [rad]
+    by which the upper ends of helical edges run behind their tips. Averaged over the edge each harmonic r of a turn is
+    multiplied by ``sin(r behind/2)/(r behind/2)``; that all of them lag by half of it besides changes no eigenvalue.
     """
 
-    def __init__(self, cut: Cut, pattern: Pattern, moved: NDArray[np.bool_], felt: NDArray[np.bool_]) -> None:
-        self.pattern = pattern
+    def __init__(
+        self, cut: Cut, pattern: Pattern, moved: NDArray[np.bool_], felt: NDArray[np.bool_], behind: float = 0.0
+    ) -> None:
+        self.pattern, self.behind = pattern, behind
         self.moved, self.felt = moved, felt
         self.teeth = pattern.lag.size // pattern.repeats
+        self._cut = cut
         self._arc = cut.arc
         self._force = force_projection(cut.coefficients.cutting, cut.tool.approach_angle)
         self._flank = cut.flank_projection() if cut.worn else None
         self._chip = chip_projection(cut.tool.approach_angle)
         self._known: dict[int, _Blocks | _Contacts] = {}
+
+    @property
+    def helix_pitch(self) -> float:
+        """Depth [m] over which an edge runs behind by the angle between two teeth."""
+        return self._cut.helix_pitch
+
+    def reaching(self, depth: float) -> _Lines:
+        """Return the harmonics where helical edges reach over a depth [m]."""
+        return _Lines(self._cut, self.pattern, self.moved, self.felt, self._cut.twist * depth)
 
     @property
     def _sides(self) -> int:
@@ -277,14 +307,16 @@ class _Lines:
         if count not in self._known:
             share = RULES.nodes_a_radian * self.pattern.repeats * count
             nodes = [math.ceil(share * part.arc) + RULES.spare_nodes for part in self._arc.arcs]
-            fewer = self._sides * self.teeth * sum(nodes) < int(self.moved.sum()) * (2 * count + 1)
-            self._known[count] = self._contacts(count, nodes) if fewer else self._blocks(count)
+            slices = math.ceil(share * self.behind) + RULES.spare_nodes if self.behind > 0.0 else 1
+            fewer = self._sides * self.teeth * sum(nodes) * slices < int(self.moved.sum()) * (2 * count + 1)
+            self._known[count] = self._contacts(count, nodes, slices) if fewer else self._blocks(count)
         return self._known[count]
 
     def _blocks(self, count: int) -> _Blocks:
         orders = np.arange(2 * count + 1)[:, None] - np.arange(2 * count + 1)
         grams = [gram_matrix(self._arc, int(r) * self.pattern.repeats) for r in range(-2 * count, 2 * count + 1)]
-        shapes = np.array(grams) @ self._chip / self.pattern.period
+        over_edge = np.sinc(np.arange(-2 * count, 2 * count + 1) * self.pattern.repeats * self.behind / (2.0 * math.pi))
+        shapes = np.array(grams) * over_edge[:, None, None] @ self._chip / self.pattern.period
         turn = [np.exp(-1j * orders * self.pattern.repeats * lag) for lag in self.pattern.lag[: self.teeth]]
         one = (self._force @ shapes)[orders + 2 * count]
         blocks = [one * phase[:, :, None, None] for phase in turn]
@@ -292,12 +324,15 @@ class _Lines:
             blocks.append((self._flank @ shapes)[orders + 2 * count] * np.sum(turn, axis=0)[:, :, None, None])
         return _Blocks(blocks, self.moved, self.felt)
 
-    def _contacts(self, count: int, nodes: list[int]) -> _Contacts:
-        parts = [_gauss(part, n) for part, n in zip(self._arc.arcs, nodes, strict=True)]
+    def _contacts(self, count: int, nodes: list[int], slices: int) -> _Contacts:
+        parts = [_gauss(part.entry, part.exit, n) for part, n in zip(self._arc.arcs, nodes, strict=True)]
         phi, weight = (np.concatenate(p) for p in zip(*parts, strict=True))
+        after, share = _gauss(0.0, 1.0, slices)
+        after = np.repeat(self.behind * after, phi.size)
+        phi, weight = np.tile(phi, slices), np.outer(share, weight).ravel()
         basis = np.stack([np.sin(phi), np.cos(phi), np.ones_like(phi)], axis=1)
         tooth = np.repeat(np.arange(self.teeth), phi.size)
-        angle = self.pattern.repeats * (np.tile(phi, self.teeth) + self.pattern.lag[tooth])
+        angle = self.pattern.repeats * (np.tile(phi + after, self.teeth) + self.pattern.lag[tooth])
         wave = np.exp(1j * np.outer(np.arange(-count, count + 1), angle))
         chip = np.tile(basis @ self._chip, (self.teeth, 1))
         sides = [self._force]
@@ -310,10 +345,10 @@ class _Lines:
         return _Contacts(tooth, wave[:, :, None] * chip, wave.conj()[:, :, None] * force, self.moved, self.felt)
 
 
-def _gauss(part: Engagement, nodes: int) -> tuple[Real, Real]:
-    """Return nodes and weights [rad] on an arc."""
+def _gauss(low: float, high: float, nodes: int) -> tuple[Real, Real]:
+    """Return nodes and weights between two ends."""
     x, w = np.polynomial.legendre.leggauss(nodes)
-    return part.entry + 0.5 * part.arc * (x + 1.0), 0.5 * part.arc * w
+    return low + 0.5 * (high - low) * (x + 1.0), 0.5 * (high - low) * w
 
 
 @dataclass(frozen=True)
@@ -438,14 +473,63 @@ class _Truncated:
         kept = np.ascontiguousarray(phi[:, self.form.felt][:, :, self.form.moved])
         return self.form.loop(self.lines.factors(turns), kept.reshape(*turns.shape, *kept.shape[1:])), phi
 
+    @cached_property
+    def poles(self) -> Complex:
+        """Multipliers of the machine alone."""
+        return np.exp(self.response.resonance * self.duration)
+
+    def scan(self, closer: float = 1.0) -> Real:
+        """Return rising angles from 0 to pi: about resonances, and a few to each line of a record that they pass."""
+        grid = angle_grid(self.poles, math.ceil(RULES.even_steps * max(1.0, closer)))
+        if self.response.lines is None:
+            return grid
+        even = np.linspace(RULES.close_to_end, math.pi - RULES.close_to_end, 1 + 8 * RULES.even_steps)
+        turns = even[:, None] / (2.0 * math.pi) + np.arange(-self.count, self.count + 1)
+        step = self.response.step(turns / self.duration).min(axis=1) * 2.0 * math.pi * self.duration
+        number = np.concatenate([[0.0], np.cumsum(np.diff(even) / np.minimum(step[1:], step[:-1]))])
+        count = math.ceil(number[-1] * RULES.steps_a_line * closer)
+        return np.union1d(grid, np.interp(np.linspace(0.0, number[-1], count + 1), number, even))
+
+    def crossings(self, deepest: float) -> list[Crossing]:
+        """Return all crossings up to a depth [m]."""
+        return find_crossings(self.values, self.scan(), deepest)
+
+    def near(self, crossing: Crossing) -> Crossing | None:
+        """Return the crossing near a given one."""
+        found = self.approach(crossing.angle, crossing.depth)
+        new = None if found is None else found.crossing
+        return new if relative_change(crossing, new) <= RULES.largest_change else None
+
+    def stable_at(self, depth: float) -> bool:
+        """Whether the cut is stable at a depth [m]."""
+        return not self.unstable_at(self.scan(), np.array([depth]))
+
     def of_all(self, angles: Real, of: Callable[[Complex], Any]) -> list[Any]:
         """Return what a function makes of the matrices at rising angles, for each angle."""
-        parts = [angles[angles < 0.5 * math.pi], angles[angles >= 0.5 * math.pi]]
-        return [row for part in parts if part.size for row in of(self.matrices(part)[0])]
+        out: list[Any] = []
+        for part in (angles[angles < 0.5 * math.pi], angles[angles >= 0.5 * math.pi]):
+            for some in np.array_split(part, math.ceil(part.size / RULES.matrices_at_once)) if part.size else ():
+                out.extend(of(self.matrices(some)[0]))
+        return out
 
     def values(self, angles: Real) -> list[Complex]:
         """Return the eigenvalues 1/depth [1/m] at each of rising angles."""
         return self.of_all(angles, np.linalg.eigvals)
+
+    def lowest(self, angles: Real, above: Crossing | None = None) -> Crossing | None:
+        """Return the first crossing; of those below a known one where that is given. None: there is none."""
+        if above is None:
+            return next(iter(find_crossings(self.values, angles)), None)
+        # Eigenvalues that the search leaves out are not computed.
+        least = 0.5 * RULES.share_of_bound / above.depth
+
+        def large(matrices: Complex) -> list[Complex]:
+            return [
+                np.linalg.eigvals(m) if kernels.may_reach(m, least) else np.empty(0, dtype=complex) for m in matrices
+            ]
+
+        found = find_crossings(lambda at: self.of_all(at, large), angles, shallower=above.depth)
+        return found[0] if found and found[0].depth < above.depth else None
 
     def unstable_at(self, angles: Real, depths: Real) -> bool:
         """Whether the cut is unstable at one of some depths [m]: Nyquist's criterion, from a scan over 0 to pi."""
@@ -464,6 +548,12 @@ class _Truncated:
             start = 1.0 / depth + 0.0j
         found = approach(lambda at: self.matrices(at, low)[0], angle, start, vector)
         return None if found is None else _Vibration(*found)
+
+    def vibration(self, crossing: Crossing) -> _Vibration:
+        """Return a crossing with its vector."""
+        values, vectors = np.linalg.eig(self.matrices(np.array([crossing.angle]))[0][0])
+        vector = vectors[:, int(np.argmin(np.abs(values * crossing.depth - 1.0)))]
+        return _Vibration(crossing, np.asarray(vector, dtype=complex))
 
     def strongest_line(self, at: _Vibration) -> tuple[float, float, int]:
         """Return the turns in a period of the largest displacement at a crossing, its frequency [Hz], and its lobe."""
@@ -531,9 +621,8 @@ def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: 
         error = 0.0 if change == 0.0 else math.inf
         none = LimitDepth(math.inf, error, math.nan, NO_LOBE, "none", loop.count)
         return _Known(none, spindle_speed, math.nan, {})
-    values, vectors = np.linalg.eig(loop.matrices(np.array([old.angle]))[0][0])
-    vector = np.asarray(vectors[:, int(np.argmin(np.abs(values * old.depth - 1.0)))], dtype=complex)
-    return _known(loop, spindle_speed, _Vibration(old, vector), change, {loop.count: vector})
+    at = loop.vibration(old)
+    return _known(loop, spindle_speed, at, change, {loop.count: at.vector})
 
 
 def _first_count(response: _Response, lines: _Lines, duration: float) -> int:
@@ -547,6 +636,90 @@ def _known(
     turns, line, lobe = loop.strongest_line(at)
     depth, kind = 1e3 * at.crossing.depth, at.crossing.kind
     return _Known(LimitDepth(depth, change * depth, line, lobe, kind, loop.count), spindle_speed, turns, vectors)
+
+
+def _limit_with_helix(response: _Response, lines: _Lines, spindle_speed: float, tolerance: float) -> LimitDepth:
+    """Return the first loss of stability of a cut with a helix, harmonics added until it stands still."""
+    duration = lines.pattern.duration(spindle_speed)
+    counts = [_first_count(response, lines, duration)]
+    while counts[-1] < lines.most:
+        counts.append(min(lines.most, math.ceil(1.5 * counts[-1] + lines.pulse)))
+
+    def looped(count: int, depth: float) -> _Truncated:
+        there = lines.reaching(depth)
+        return _Truncated(response, there, duration, count, there.upto(count))
+
+    def finer(level: int) -> Reaches | None:
+        return lru_cache(maxsize=4)(partial(looped, counts[level])) if level < len(counts) else None
+
+    straight = looped(counts[0], 0.0)
+    _require_motion(straight)
+    largest = max(float(np.abs(part).max()) for part in straight.values(angle_grid(straight.poles, RULES.even_steps)))
+    deepest = 1.0 / (RULES.negligible_eigenvalue * largest)
+    found, change, level = first_with_helix(finer, lines.helix_pitch, deepest, tolerance)
+    if found is None:
+        error = 0.0 if change == 0.0 else math.inf
+        return LimitDepth(math.inf, error, math.nan, NO_LOBE, "none", counts[level])
+    loop = looped(counts[level], found.depth)
+    return _known(loop, spindle_speed, loop.vibration(found), change, {}).limit
+
+
+def _limit_of_record(response: _Response, lines: _Lines, spindle_speed: float, tolerance: float) -> LimitDepth:
+    """Return the limit with a measured compliance: a crossing with settled harmonics below which there is no other.
+
+    A crossing that a wide scan has found is followed to more harmonics until it stands still. With these the whole
+    circle is then scanned line by line for a crossing below it, which takes its place.
+    """
+    duration = lines.pattern.duration(spindle_speed)
+
+    def truncated(count: int) -> _Truncated:
+        count = min(lines.most, count)
+        return _Truncated(response, lines, duration, count, lines.upto(count))
+
+    def near(loop: _Truncated, at: _Vibration) -> _Vibration | None:
+        found = loop.approach(at.crossing.angle, at.crossing.depth)
+        return found if _changed(at, found) <= RULES.largest_change else None
+
+    def lowest(loop: _Truncated, angles: Real, above: Crossing | None = None) -> _Vibration | None:
+        found = loop.lowest(angles, above)
+        if found is None:
+            return None
+        return loop.approach(found.angle, found.depth) or loop.vibration(found)
+
+    loop = truncated(_first_count(response, lines, duration))
+    _require_motion(loop)
+    found = lowest(loop, angle_grid(loop.poles, RULES.even_steps))
+    for _ in range(RULES.scans_of_a_record):
+        change = math.inf
+        while change > tolerance:
+            if loop.count == lines.most:
+                coarser, old = truncated(math.ceil(0.75 * loop.count)), found
+                new = None if found is None else near(coarser, found)
+                change = _changed(old, new)
+                break
+            coarser, loop, old = loop, truncated(math.ceil(1.5 * loop.count + lines.pulse)), found
+            found = None if old is None else near(loop, old)
+            change = _changed(old, found)
+            if old is not None and found is None:
+                found = lowest(loop, angle_grid(loop.poles, RULES.even_steps))
+        below = lowest(loop, loop.scan(), found.crossing if found else None)
+        if below is None:
+            break
+        found = below
+        change = _changed(near(coarser, found), found)
+        if change <= tolerance:
+            break
+    at = found.crossing if found else None
+    if not (_confirmed(loop, loop.scan(RULES.checked_steps), at) or _confirmed(loop, loop.scan(), at)):
+        change = math.inf
+    if found is None:
+        error = 0.0 if change == 0.0 else math.inf
+        return LimitDepth(math.inf, error, math.nan, NO_LOBE, "none", loop.count)
+    return _known(loop, spindle_speed, found, change, {}).limit
+
+
+def _changed(old: _Vibration | None, new: _Vibration | None) -> float:
+    return relative_change(old.crossing if old else None, new.crossing if new else None)
 
 
 @dataclass(frozen=True)
@@ -679,12 +852,11 @@ def _all(response: _Response, lines: _Lines, speed: Real, tolerance: float) -> l
 
 
 def _confirmed(loop: _Truncated, angles: Real, found: Crossing | None) -> bool:
-    """Whether the cut is stable just below a limit, or deep down where there is none."""
+    """Whether the cut is stable below a limit, or deep down where there is none."""
     if found is None:
         depth = 1.0 / (RULES.negligible_eigenvalue * max(float(np.abs(part).max()) for part in loop.values(angles)))
-    else:
-        depth = RULES.confirmed_share * found.depth
-    return not loop.unstable_at(angles, np.array([depth]))
+        return not loop.unstable_at(angles, np.array([depth]))
+    return not loop.unstable_at(angles, found.depth * np.array(RULES.confirmed_shares_of_harmonics))
 
 
 def _require_motion(loop: _Truncated) -> None:

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from process.cut.force import chip_projection, force_projection
+from process.cut.force import chip_projection, force_projection, twisted_gram
 from process.types import Complex, Real
 from stability.methods import _floquet_kernels as kernels
 from stability.methods.rules import RULES
@@ -23,7 +23,9 @@ Element = tuple[float, float, list[int]]
 class Mesh:
     """One period of a cut in n elements with p nodes each: m contacts, one for each engaged tooth at each node.
 
-    With a worn flank there are two, of the edge and of the flank.
+    With a worn flank there are two, of the edge and of the flank. With a helix there is one for each direction of
+    motion: what counts is the displacement, and the force a unit of it is the mean over the edge, which reaches from
+    angle to angle. Equally spaced teeth then are one.
 
     Parameters
     ----------
@@ -43,9 +45,9 @@ class Mesh:
     angle, span : ndarray, shape (m,)
         Angle of the tool at a contact, and the angle it stands for [rad].
     chip : ndarray, shape (m, 3)
-        ``(s, c, 1) Q``: chip a unit of displacement [1].
+        ``(s, c, 1) Q``: chip a unit of displacement [1]; with a helix the displacement itself.
     force : ndarray, shape (3, m)
-        ``P (s, c, 1)``: force a unit of chip and of depth [N/m2].
+        ``P (s, c, 1)``: force a unit of chip and of depth [N/m2]; with a helix of the displacement.
     source, weight, wrap : ndarray, shapes (m,), (m, p), (m,)
         First contact of those that hold the surface left by the tooth before, their weights, and whether they are
         those of the period before.
@@ -72,25 +74,30 @@ class Mesh:
         return int(self.length.size * self.node.size)
 
 
-def _pieces(cut: Cut, pattern: Pattern) -> list[Element]:
-    """Return the elements between the events of one period, air left out."""
+def _pieces(cut: Cut, pattern: Pattern, twist: float, lead: Real) -> list[Element]:
+    """Return the elements between the events of one period, air left out.
+
+    The upper ends of edges run `twist` [rad] behind; `lead`: teeth that are one, how far each runs behind the first.
+    """
     arcs, lag, period = cut.arc.arcs, pattern.lag, pattern.period
-    events = np.sort(np.concatenate([angle + lag for arc in arcs for angle in (arc.entry, arc.exit)]) % period)
+    ends = [angle + end for arc in arcs for angle in (arc.entry, arc.exit) for end in {0.0, twist}]
+    events = np.sort(np.concatenate([end + lag for end in ends]) % period)
     events = events[np.diff(events, prepend=-1.0) > 1e-9]
     if events[-1] - events[0] > period - 1e-9:
         events = events[:-1]
     out = []
     for low, high in zip(events, np.append(events[1:], events[0] + period), strict=True):
-        phi = (0.5 * (low + high) - lag) % (2.0 * math.pi)
-        teeth = [j for j, at in enumerate(phi) if any(arc.entry < at < arc.exit for arc in arcs)]
+        phi = 0.5 * (low + high) - lag[:, None] - lead
+        inside = [np.any((phi - arc.entry) % (2.0 * math.pi) < arc.arc + twist, axis=1) for arc in arcs]
+        teeth = np.flatnonzero(np.any(inside, axis=0)).tolist()
         if teeth:
             out.append((float(low), float(high - low), teeth))
     return out
 
 
-def _elements(cut: Cut, pattern: Pattern, steps: int) -> tuple[list[Element], int]:
+def _elements(cut: Cut, pattern: Pattern, steps: int, twist: float, lead: Real) -> tuple[list[Element], int]:
     """Return the elements and the number of nodes in each: at least `steps` in all."""
-    pieces = _pieces(cut, pattern)
+    pieces = _pieces(cut, pattern, twist, lead)
     in_cut = sum(length for _, length, _ in pieces)
     share = [steps * length / in_cut for _, length, _ in pieces]
     # An element must not hold the surface that it cuts itself: none is longer than the shortest delay.
@@ -111,30 +118,68 @@ def _elements(cut: Cut, pattern: Pattern, steps: int) -> tuple[list[Element], in
     return elements, nodes
 
 
-def lay_mesh(cut: Cut, pattern: Pattern, steps: int) -> Mesh:
-    """Lay at least `steps` nodes over the engaged part of one period."""
-    elements, p = _elements(cut, pattern, steps)
+def lay_mesh(
+    cut: Cut, pattern: Pattern, steps: int, depth: float = 0.0, moving: NDArray[np.bool_] | None = None
+) -> Mesh:
+    """Lay at least `steps` nodes over the engaged part of one period.
+
+    Parameters
+    ----------
+    cut, pattern : Cut, Pattern
+        What cuts.
+    steps : int
+        Number of nodes.
+    depth : float, optional
+        Depth [m] over which a helix reaches; straight edges by default.
+    moving : ndarray of bool, shape (3,), optional
+        Directions in which the tool moves at all; all by default. Only a helix asks for them.
+    """
+    twist = cut.twist * depth
+    teeth, lead = pattern, np.zeros(1)
+    directions: list[int] = [-1]
+    if twist > 0.0:
+        felt = np.abs(np.diag(chip_projection(cut.tool.approach_angle))) > 1e-12
+        directions = np.flatnonzero(felt if moving is None else felt & moving).tolist()
+        if pattern.repeats == pattern.lag.size:
+            # All teeth leave the same wave behind: together they are one.
+            teeth, lead = Pattern(pattern.repeats, np.zeros(1), pattern.delay[:1]), pattern.lag
+    elements, p = _elements(cut, teeth, steps, twist, lead)
     start = np.array([e[0] for e in elements])
     length = np.array([e[1] for e in elements])
     gap = np.append(start[1:], start[0] + pattern.period) - start - length
     node, w = _gauss(p)
     sides = 2 if cut.worn else 1
-    teeth = [sides * e[2] for e in elements]
-    offset = np.concatenate([[0], np.cumsum([p * len(t) for t in teeth])]).astype(np.int64)
-    angle = np.concatenate([np.tile(s + h * node, len(t)) for s, h, t in zip(start, length, teeth, strict=True)])
-    span = np.concatenate([np.tile(h * w, len(t)) for h, t in zip(length, teeth, strict=True)])
-    tooth = np.concatenate([np.repeat(t, p) for t in teeth])
-    flank = np.concatenate([np.arange(p * len(t)) >= p * len(t) // sides for t in teeth])
-    phi = angle - pattern.lag[tooth]
-    basis = np.stack([np.sin(phi), np.cos(phi), np.ones_like(phi)], axis=1)
-    chip = basis @ chip_projection(cut.tool.approach_angle)
-    force = force_projection(cut.coefficients.cutting, cut.tool.approach_angle) @ basis.T
-    if cut.worn:
-        force[:, flank] = cut.flank_projection() @ basis[flank].T
-    source, weight, wrap = _surface_left(elements, offset, node, pattern, angle, tooth)
+    groups = [[(j, d) for _ in range(sides) for j in e[2] for d in directions] for e in elements]
+    offset = np.concatenate([[0], np.cumsum([p * len(g) for g in groups])]).astype(np.int64)
+    angle = np.concatenate([np.tile(s + h * node, len(g)) for s, h, g in zip(start, length, groups, strict=True)])
+    span = np.concatenate([np.tile(h * w, len(g)) for h, g in zip(length, groups, strict=True)])
+    tooth, way = np.concatenate([np.repeat(g, p, axis=0) for g in groups]).T
+    flank = np.concatenate([np.arange(p * len(g)) >= p * len(g) // sides for g in groups])
+    chip, force = _of_contacts(cut, angle - teeth.lag[tooth], flank, (way, lead, twist))
+    source, weight, wrap = _surface_left(elements, offset, node, teeth, angle, tooth, way, directions)
     weight[flank] = 0.0
     gap = np.where(gap > 1e-9, gap, 0.0)
     return Mesh(pattern, length, gap, node, offset, tooth, flank, angle, span, chip, force, source, weight, wrap)
+
+
+def _of_contacts(
+    cut: Cut, phi: Real, flank: NDArray[np.bool_], edge: tuple[NDArray[np.int64], Real, float]
+) -> tuple[Real, Real]:
+    """Return chip and force of contacts of teeth at angles phi [rad]; edge: directions, teeth in one, and twist."""
+    way, lead, twist = edge
+    projection = chip_projection(cut.tool.approach_angle)
+    straight = force_projection(cut.coefficients.cutting, cut.tool.approach_angle)
+    if twist > 0.0:
+        one = sum((twisted_gram(cut.arc, phi - lag, twist) for lag in lead), np.zeros((phi.size, 3, 3)))
+        basis = (one @ projection)[np.arange(phi.size), :, way]
+        chip = np.eye(3)[way]
+    else:
+        basis = np.stack([np.sin(phi), np.cos(phi), np.ones_like(phi)], axis=1)
+        chip = basis @ projection
+    force = straight @ basis.T
+    if cut.worn:
+        force[:, flank] = cut.flank_projection() @ basis[flank].T
+    return chip, force
 
 
 def _surface_left(
@@ -144,6 +189,8 @@ def _surface_left(
     pattern: Pattern,
     angle: Real,
     tooth: NDArray[np.int64],
+    way: NDArray[np.int64],
+    directions: list[int],
 ) -> tuple[NDArray[np.int64], Real, NDArray[np.bool_]]:
     """Find for each contact those that hold the surface which the tooth before has left there, and their weights."""
     turn = 2.0 * math.pi
@@ -158,7 +205,7 @@ def _surface_left(
         same = int(np.argmin(np.minimum(apart, turn - apart)))
         holding = ((e, *element) for e, element in enumerate(elements) if same in element[2])
         e, low, length, teeth = next(h for h in holding if h[1] - 1e-9 <= before[i] <= h[1] + h[2] + 1e-9)
-        source[i] = offset[e] + node.size * teeth.index(same)
+        source[i] = offset[e] + node.size * (teeth.index(same) * len(directions) + directions.index(int(way[i])))
         place[i] = (before[i] - low) / length
     return source, lagrange(node, place), wrap
 

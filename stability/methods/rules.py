@@ -18,8 +18,14 @@ class MethodRules:
     """As `largest_step` where a curve comes near the axis without crossing it: a narrow island hides there."""
     close_to_end: float = 2e-4
     """Distance from theta = 0 and pi up to which curves are sampled [rad]; nearer they have become a fold or a flip."""
+    pieces_a_pitch: float = 12.0
+    """Pieces in which the depth of a helix pitch is searched for crossings."""
+    pieces_of_depth: float = 48.0
+    """The same of any depth, where these pieces are longer: the harmonics then are small beside the mean."""
     largest_turn: float = 1.6
     """Largest change of the phase of a determinant in a step [rad]."""
+    share_of_bound: float = 0.7
+    """Eigenvalues below this share of 1/depth of a crossing that is known are not looked at between two angles."""
     smallest_interval: float = 1e-7
     """Intervals of theta are not halved below this [rad]."""
 
@@ -28,8 +34,17 @@ class MethodRules:
     """Harmonics are not added beyond this; up to four times as many where short arcs keep the unknowns few."""
     even_steps: int = 48
     """Even steps in which the whole range of w is scanned; about resonances the scan is finer."""
-    confirmed_share: float = 0.9
-    """Share of a limit at which the cut must be stable."""
+    steps_a_line: float = 4.0
+    """Steps of a scan to a line of a measured compliance, the finest of those that pass by: two overlooked a crossing
+    in 150 speeds of noisy records, three none."""
+    checked_steps: float = 0.5
+    """Share of these steps with which the stability below a limit is checked."""
+    matrices_at_once: int = 256
+    """Of a scan."""
+    scans_of_a_record: int = 6
+    """Scans for a crossing below the one that has settled, at the most."""
+    confirmed_shares_of_harmonics: tuple[float, ...] = (0.5, 0.75, 0.9, 0.98)
+    """Shares of a limit at which the cut must be stable."""
     tracked_shares_of_harmonics: tuple[float, ...] = (0.7, 0.98)
     """The same of a limit that was followed from a neighbouring speed."""
     crossings_below: int = 4

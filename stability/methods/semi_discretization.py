@@ -17,6 +17,10 @@ A worn flank adds ``a_p sum_j P_d s_j s_j^T Q r'/v_c`` (Ahmadi and Altintas 2011
 ``s^T Q dr/dphi`` at each engaged tooth and node is then one more scalar, of which nothing is remembered: its force is
 proportional to the depth as well, so that 1/depth remains an eigenvalue of M, and all else stays as it is.
 
+Along a helix the edges run behind by ``2 a_p tan(helix)/D``. The force then is that of the displacement itself, with
+the directional matrix averaged over the edge in closed form (`process.cut.force.twisted_gram`), smooth between the
+entries and exits of both ends; the limit is the depth at which the edges reach as deep as the cut.
+
 Run-out and edge forces do not regenerate and have no influence. With run-out the mean chip differs from tooth to tooth,
 and what a vibration adds to it does not: the linear limit is that of equal radii. Only where a tooth that stands back
 misses the cut altogether does the next one cut what an earlier one has left, over a longer delay; contact is taken as
@@ -28,7 +32,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -48,19 +52,20 @@ from stability.methods.dense_problem import Dense, dense
 from stability.methods.floquet_crossings import (
     Crossing,
     Curve,
+    Reaches,
     angle_grid,
     find_crossings,
+    first_with_helix,
     follow,
     followed_angle,
+    helix_crossings,
     relative_change,
 )
 from stability.methods.period_mesh import Mesh, cut_at_speed, lay_mesh
 from stability.methods.rules import RULES
-from stability.problem import NO_LOBE, Cut, Machine, Modes, Pattern, check_spindle_speed, modes_of, pattern_of
+from stability.problem import NO_LOBE, Cut, Machine, Modes, Pattern, check_spindle_speed, modes_of, pattern_of_pitch
 
 Krylov = Callable[[int], tuple[Complex, Complex, int]]
-
-METHOD = "semi-discretisation"
 
 BAND_COLUMNS: tuple[str, ...] = ("from_mm", "to_mm", "stable", "kind", "chatter_frequency_Hz", "multiplier")
 """Columns of `stability_bands`."""
@@ -150,6 +155,19 @@ class _Discrete:
         if self.size <= RULES.dense:
             return bool(kernels.is_stable(self.dense.period, depth))
         return self.radius(depth) < 1.0
+
+    def crossings(self, deepest: float) -> list[Crossing]:
+        """Return all crossings up to a depth [m]."""
+        return find_crossings(self.curve(deepest=deepest), angle_grid(self.system.turn, 80), deepest)
+
+    def near(self, crossing: Crossing) -> Crossing | None:
+        """Return the crossing near a given one."""
+        if self.size <= RULES.dense:
+            found = self.approach(crossing.angle, crossing.depth)
+            new = None if found is None else found.crossing
+        else:
+            new = follow(self.curve(deepest=crossing.depth), crossing)
+        return new if relative_change(crossing, new) <= RULES.largest_change else None
 
     def stable_below(self, depth: float) -> bool:
         """Whether the map over one period is stable at the shares `RULES.confirmed_shares` of a depth [m]."""
@@ -254,13 +272,14 @@ def _ritz(krylov: Krylov, total: int, wanted: Callable[[Real], NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class _Problem:
-    """A machine and a cut at one spindle speed [rpm], to be discretised."""
+    """A machine and a cut at one spindle speed [rpm], to be discretised; reach: depth [m] of helical edges."""
 
     cut: Cut
     pattern: Pattern
     modes: Modes
     spindle_speed: float
-    kept: dict[int, Mesh] = field(default_factory=dict)
+    reach: float = 0.0
+    kept: dict[tuple[int, float], Mesh] = field(default_factory=dict)
 
     def first_steps(self) -> int:
         """Steps that resolve the fastest mode over the engaged part of a period."""
@@ -279,9 +298,24 @@ class _Problem:
 
     def mesh(self, steps: int) -> Mesh:
         """Lay a mesh; it is kept for the next spindle speed."""
-        if steps not in self.kept:
-            self.kept[steps] = lay_mesh(self.cut, self.pattern, steps)
-        return self.kept[steps]
+        key = steps, self.reach
+        if key not in self.kept:
+            shape = np.abs(self.modes.shape).max(axis=1)
+            self.kept[key] = lay_mesh(self.cut, self.pattern, steps, self.reach, shape > 1e-12 * shape.max())
+        return self.kept[key]
+
+    def reaching(self, depth: float) -> _Problem:
+        """Return the problem with edges that reach over a depth [m]."""
+        return replace(self, reach=depth, kept={})
+
+    def twisted(self, steps: int) -> Reaches:
+        """Return the cut with so many steps, by the depth over which its edges reach."""
+
+        @lru_cache(maxsize=4)
+        def at(depth: float) -> _Discrete:
+            return self.reaching(depth).discrete(steps)
+
+        return at
 
     def finer(self, mesh: Mesh, factor: float = RULES.finer) -> _Discrete:
         """Return the cut in at least so many times the steps of a mesh."""
@@ -320,6 +354,28 @@ def _lowest(discrete: _Discrete, harder: int = 0) -> Crossing | None:
     if not found and not discrete.small:
         found = find_crossings(discrete.curve(RULES.negligible_eigenvalue), angles)
     return next(iter(found), None)
+
+
+def _limit_with_helix(problem: _Problem, tolerance: float) -> LimitDepth:
+    """Return the first loss of stability of a cut with a helix."""
+    first = problem.first_steps()
+    steps = [first]
+    while steps[-1] * RULES.finer_tracked < RULES.most_steps and len(steps) < RULES.halvings:
+        steps.append(math.ceil(RULES.finer_tracked * steps[-1]))
+
+    def finer(level: int) -> Reaches | None:
+        return problem.twisted(steps[level]) if level < len(steps) else None
+
+    straight = replace(problem, kept={}).discrete(first)
+    sizes = straight.curve()(angle_grid(straight.system.turn, 4))
+    deepest = 1.0 / (RULES.negligible_eigenvalue * max(float(np.abs(part).max()) for part in sizes))
+    found, change, level = first_with_helix(finer, problem.cut.helix_pitch, deepest, tolerance)
+    if found is None:
+        error = 0.0 if change == 0.0 else math.inf
+        return LimitDepth(math.inf, error, math.nan, NO_LOBE, "none", steps[level])
+    here = problem.reaching(found.depth)
+    discrete = here.discrete(steps[level])
+    return _known(here, discrete, _Vibration(found, discrete.chips(found).astype(complex)), change, {}).limit
 
 
 def _limit(problem: _Problem, tolerance: float) -> _Known:
@@ -427,7 +483,7 @@ def _strongest_line(
 
 def _problem(machine: Machine, cut: Cut, spindle_speed: float) -> _Problem:
     """Check that the cut can move the machine, and put the two together."""
-    problem = _Problem(cut, pattern_of(cut.tool, METHOD), modes_of(machine), spindle_speed)
+    problem = _Problem(cut, pattern_of_pitch(cut.tool), modes_of(machine), spindle_speed)
     mesh, modes = problem.mesh(RULES.fewest_nodes), problem.modes
     felt = np.abs(mesh.chip @ modes.shape).max() > 1e-12 * np.abs(modes.shape).max()
     largest = np.abs(modes.participation).max() * np.abs(mesh.force).max()
@@ -459,7 +515,7 @@ def limit_depth(
     machine : Machine
         Anything with a ``state_space()``: a `process.ModalModel`, a closed loop.
     tool, arc, coefficients
-        The cut; straight edges, any pitch.
+        The cut; any pitch and helix.
     spindle_speed : float
         Spindle speed [rpm].
     tolerance : float, optional
@@ -470,10 +526,13 @@ def limit_depth(
     Raises
     ------
     InputError
-        For a helix, a machine that is itself unstable, or a speed that is not positive or too low for the most steps.
+        For a machine that is itself unstable, or a speed that is not positive or too low for the most steps.
     """
     speed = float(check_spindle_speed(spindle_speed)[0])
-    return _limit(_problem(machine, Cut(tool, arc, coefficients, process_damping), speed), _checked(tolerance)).limit
+    problem = _problem(machine, Cut(tool, arc, coefficients, process_damping), speed)
+    if problem.cut.twist > 0.0:
+        return _limit_with_helix(problem, _checked(tolerance))
+    return _limit(problem, _checked(tolerance)).limit
 
 
 def floquet_multipliers(
@@ -517,7 +576,7 @@ def floquet_multipliers(
     speed = float(check_spindle_speed(spindle_speed)[0])
     if not (math.isfinite(depth) and depth > 0.0) or (steps is not None and steps < 1):
         raise InputError(f"depth {depth:g} m, steps {steps}; both must be positive")
-    problem = _problem(machine, Cut(tool, arc, coefficients, process_damping), speed)
+    problem = _problem(machine, Cut(tool, arc, coefficients, process_damping), speed).reaching(depth)
     steps = steps or 2 * problem.mesh(problem.first_steps()).steps
     return problem.discrete(steps).multipliers(np.array([depth]))[0]
 
@@ -560,13 +619,13 @@ def stability_bands(
     if not (math.isfinite(maximum_depth) and maximum_depth > 0.0):
         raise InputError(f"the maximum depth is {maximum_depth:g} m; it must be positive and finite")
     problem = _problem(machine, Cut(tool, arc, coefficients, process_damping), speed)
-    discrete, tolerance = problem.discrete(problem.first_steps()), _checked(tolerance)
-    old = _all_crossings(discrete, maximum_depth)
-    while discrete.mesh.steps < RULES.most_steps:
-        discrete = problem.finer(discrete.mesh)
-        new = _all_crossings(discrete, maximum_depth)
+    steps, tolerance = problem.first_steps(), _checked(tolerance)
+    old = _all_crossings(problem, steps, maximum_depth)
+    while steps < RULES.most_steps:
+        steps = problem.finer(problem.mesh(steps)).mesh.steps
+        new = _all_crossings(problem, steps, maximum_depth)
         if len(new) == len(old) and all(relative_change(a, b) <= tolerance for a, b in zip(old, new, strict=True)):
-            return _bands(problem, discrete, new, maximum_depth)
+            return _bands(problem, steps, new, maximum_depth)
         old = new
     raise InputError(
         f"the bands up to {maximum_depth * 1e3:g} mm do not settle with {RULES.most_steps} steps; ask for a "
@@ -574,18 +633,27 @@ def stability_bands(
     )
 
 
-def _all_crossings(discrete: _Discrete, deepest: float) -> list[Crossing]:
-    return find_crossings(discrete.curve(deepest=deepest), angle_grid(discrete.system.turn, 80), deepest)
+def _all_crossings(problem: _Problem, steps: int, deepest: float) -> list[Crossing]:
+    if problem.cut.twist > 0.0:
+        return list(helix_crossings(problem.twisted(steps), problem.cut.helix_pitch, deepest))
+    return problem.discrete(steps).crossings(deepest)
 
 
-def _bands(problem: _Problem, discrete: _Discrete, crossings: list[Crossing], deepest: float) -> pd.DataFrame:
+def _bands(problem: _Problem, steps: int, crossings: list[Crossing], deepest: float) -> pd.DataFrame:
     """Classify the intervals between crossings by the map over one period; join those of one kind."""
+    straight = problem.discrete(steps)
+
+    def at_depth(depth: float) -> tuple[_Problem, _Discrete]:
+        here = problem.reaching(depth)
+        return (here, here.discrete(steps)) if problem.cut.twist > 0.0 else (problem, straight)
+
     borders = [0.0, *(c.depth for c in crossings), deepest]
     rows: list[list[Any]] = []
     for i, (low, high) in enumerate(pairwise(borders)):
         if high - low <= 1e-9 * high:
             continue
-        radius = discrete.radius(0.5 * (low + high))
+        middle = 0.5 * (low + high)
+        radius = at_depth(middle)[1].radius(middle)
         if rows and rows[-1][2] == (radius < 1.0):
             rows[-1][1] = 1e3 * high
             rows[-1][5] = max(rows[-1][5], radius)
@@ -593,7 +661,8 @@ def _bands(problem: _Problem, discrete: _Discrete, crossings: list[Crossing], de
         kind, line = "none", math.nan
         if i > 0:
             at = crossings[i - 1]
-            kind, line = at.kind, _strongest_line(problem, discrete, at, discrete.chips(at).astype(complex))[1]
+            here, discrete = at_depth(at.depth)
+            kind, line = at.kind, _strongest_line(here, discrete, at, discrete.chips(at).astype(complex))[1]
         rows.append([1e3 * low, 1e3 * high, radius < 1.0, kind, line, radius])
     return pd.DataFrame(rows, columns=list(BAND_COLUMNS))
 
@@ -635,6 +704,9 @@ def semi_discretization(
     known = None
     for i in np.argsort(-speed, kind="stable"):
         here = replace(problem, spindle_speed=float(speed[i]))
+        if problem.cut.twist > 0.0:
+            limits[i] = _limit_with_helix(here, tolerance)
+            continue
         known = (_tracked(here, known, tolerance) if known else None) or _limit(here, tolerance)
         limits[i] = known.limit
     warnings = list(problem.cut.warnings)

@@ -24,7 +24,7 @@ from process.types import Complex, Real
 from stability.methods.dense_problem import Dense, dense
 from stability.methods.period_mesh import Mesh, cut_at_speed, lagrange, lay_mesh, node_responses
 from stability.methods.rules import RULES
-from stability.problem import Cut, Machine, Modes, check_spindle_speed, modes_of, pattern_of
+from stability.problem import Cut, Machine, Modes, check_spindle_speed, modes_of, pattern_of_pitch
 
 METHOD = "stationary vibration"
 
@@ -168,13 +168,18 @@ def _check(tool: Tool, depth: float, feed_per_tooth: float) -> None:
             raise InputError(f"the {name} is {value * 1e3:g} mm; it must be positive and finite")
     if not tool.equal_radius:
         raise InputError(f"the tool has a run-out; the {METHOD} holds for teeth on one circle. Leave runout out")
+    if tool.helix_angle > 0.0:
+        raise InputError(
+            f"the tool has a helix of {math.degrees(tool.helix_angle):g} deg; the {METHOD} needs straight edges. Use a "
+            "time simulation, or leave helix_angle out to neglect it"
+        )
 
 
 def _settled(
     cut: Cut, modes: Modes, depth: float, feed_per_tooth: float, speed: float, tolerance: float
 ) -> tuple[float, Cut, _AtSpeed]:
     """Double the steps until the displacement at a depth stands still; return its last change, and the mesh."""
-    pattern = pattern_of(cut.tool, METHOD)
+    pattern = pattern_of_pitch(cut.tool)
     turns = float(np.abs(modes.rate.imag).max()) * pattern.duration(speed)
     steps = RULES.first_steps_of_vibration + math.ceil(0.4 * turns)
     old = None

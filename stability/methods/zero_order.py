@@ -109,7 +109,8 @@ def zero_order(
         One labelled compliance [m/N] on its own grid; masked (NaN) frequencies are skipped, not bridged. Or anything
         with a ``state_space()``, e.g. a `process.ModalModel`: then the grid is ours.
     tool, arc, coefficients
-        The cut; one arc of engagement or several, any pitch. A helix has no influence on the mean; a warning says so.
+        The cut; one arc of engagement or several, any pitch. A helix has no influence on the mean, at any depth
+        (`Cut.mean_warnings`); a warning says so.
     spindle_speed : array_like, shape (speeds,)
         Spindle speeds [rpm], in any order.
     process_damping : ProcessDamping, optional

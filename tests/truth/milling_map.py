@@ -74,7 +74,8 @@ class MillingCut:
 
     frequency [Hz], damping, stiffness [N/m], direction (modes, 3); pitch [rad] (teeth,): from tooth j to the next that
     follows it; arcs: (entry, exit) [rad]; approach [rad]; k: tangential, radial, axial coefficient [N/m2]; flank: force
-    of the worn flank over length of the edge and ratio of speeds [N/m], its friction, and the diameter [m] of the tool.
+    of the worn flank over length of the edge and ratio of speeds [N/m], its friction, and the diameter [m] of the tool;
+    twist [rad/m]: how far the edges run behind their tips, a unit of depth.
     """
 
     frequency: np.ndarray
@@ -86,12 +87,22 @@ class MillingCut:
     k: tuple[float, float, float]
     approach: float = 0.5 * math.pi
     flank: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    twist: float = 0.0
 
 
 def _mean_factors(
-    cut: MillingCut, k: tuple[float, float, float], lag: np.ndarray, n: int
+    cut: MillingCut, k: tuple[float, float, float], lag: np.ndarray, n: int, depth: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Force over displacement and depth of each tooth, averaged over each step, (teeth, n, 3, 3), and where it cuts."""
+    """Force over displacement and depth of each tooth, averaged over each step, (teeth, n, 3, 3), and where it cuts.
+
+    A helix cuts with slices of the depth, one for every four steps that they run behind, 16 at least.
+    """
+    behind = cut.twist * depth
+    if behind > 0.0:
+        slices = max(16, math.ceil(behind * n / (8.0 * math.pi)))
+        parts = [_mean_factors(cut, k, lag + behind * (i + 0.5) / slices, n) for i in range(slices)]
+        active = np.any([part[1] for part in parts], axis=0).astype(np.int8)
+        return sum(part[0] for part in parts) / slices, active
     kt, kr, ka = k
     sin, cos = math.sin(cut.approach), math.cos(cut.approach)
     normal, axial = kr * sin + ka * cos, kr * cos - ka * sin
@@ -108,7 +119,7 @@ def _mean_factors(
     middle = width * np.arange(n)[None, :] - lag[:, None]
     total = np.zeros((lag.size, n, 3, 3))
     for entry, leave in cut.arcs:
-        for whole in range(-2, 2):
+        for whole in range(-2 - math.ceil(float(lag.max()) / (2.0 * math.pi)), 2):
             low = np.clip(middle - 0.5 * width, entry + 2 * math.pi * whole, leave + 2 * math.pi * whole)
             high = np.clip(middle + 0.5 * width, entry + 2 * math.pi * whole, leave + 2 * math.pi * whole)
             total += integral(high) - integral(low)
@@ -117,9 +128,9 @@ def _mean_factors(
 
 
 class TurnMap:
-    """The map over one turn at one spindle speed [rpm]."""
+    """The map over one turn at one spindle speed [rpm]; of a helix with edges that reach over a depth [m]."""
 
-    def __init__(self, cut: MillingCut, spindle_speed: float, finer: float = 1.0) -> None:
+    def __init__(self, cut: MillingCut, spindle_speed: float, finer: float = 1.0, reach: float = 0.0) -> None:
         lag = np.concatenate([[0.0], np.cumsum(cut.pitch)[:-1]])
         turn = 60.0 / spindle_speed
         shortest = min(leave - entry for entry, leave in cut.arcs)
@@ -127,10 +138,10 @@ class TurnMap:
             finer * max(PER_PERIOD * turn * np.max(cut.frequency), IN_CUT * 2.0 * math.pi / shortest, 60 * lag.size)
         )
         h = turn / n
-        self.factor, self.active = _mean_factors(cut, cut.k, lag, n)
+        self.factor, self.active = _mean_factors(cut, cut.k, lag, n, reach)
         resistance, friction, diameter = cut.flank
         against = resistance / (math.pi * diameter / turn)
-        self.flank = _mean_factors(cut, (friction * against, against, 0.0), lag, n)[0].sum(axis=0)
+        self.flank = _mean_factors(cut, (friction * against, against, 0.0), lag, n, reach)[0].sum(axis=0)
         # Tooth j cuts what the tooth ahead of it, j - 1, has left.
         back = np.roll(cut.pitch, 1) / (2.0 * math.pi) * n
         whole = np.floor(back).astype(np.int64)

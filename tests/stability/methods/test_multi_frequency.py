@@ -153,7 +153,6 @@ def test_more_harmonics_change_less(make_case):
 
 
 def test_labels_and_what_is_refused(lab_slot):
-    tool, arc, coefficients = lab_slot.cut
     found = multi_frequency(lab_slot.machine, *lab_slot.cut, [1500, 1000])
     assert found.spindle_speed.values.tolist() == [1500, 1000]
     assert found.limit_depth.attrs["units"] == found.limit_depth_error.attrs["units"] == "mm"
@@ -165,8 +164,6 @@ def test_labels_and_what_is_refused(lab_slot):
         "kind",
         "harmonics",
     }
-    with pytest.raises(InputError, match="helix of 30 deg"):
-        multi_frequency(lab_slot.machine, replace(tool, helix_angle=math.radians(30)), arc, coefficients, 1000)
     with pytest.raises(InputError, match="nothing that could chatter"):
         multi_frequency(ModalModel([50.0], [0.02], [1e7], [[0, 0, 1]]), *lab_slot.cut, 1000)
     with pytest.raises(InputError, match="tolerance is 0"):
