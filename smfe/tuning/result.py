@@ -300,8 +300,8 @@ def _lobes(task: Task, plant: Plant, shown: Sequence[GainSet]) -> tuple[xr.Datas
         depths.append(found["limit_depth"].values)
         chatter.append(found["chatter_frequency"].values)
         if one is shown[0]:
-            # A servo may give energy, and the grid of a model ends where masses alone count. What the other harmonics of
-            # a helix do is said by `confirm`.
+            # A servo may give energy, and the grid of a model ends where masses alone count. What else a helix does is
+            # said by `confirm`.
             skip = (
                 "the compliance is not that",
                 "at ",
