@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -174,11 +175,36 @@ def _blocks(path: Path, places: Mapping[Column, Place], block: int) -> Iterator[
     with open_file(path) as file:
         lengths = {column: _checked_length(path, file[place.dataset], place) for column, place in places.items()}
         size = _one_length(path.name, lengths)
+        notes = end_notes(path)
         for begin in range(0, max(size, 1), block):
             part = slice(begin, min(begin + block, size))
             yield Table(
-                {c: as_numbers(path.name, c, _values(file[place.dataset], place, part)) for c, place in places.items()}
+                {c: as_numbers(path.name, c, _values(file[place.dataset], place, part)) for c, place in places.items()},
+                notes=notes,
             )
+
+
+def end_notes(path: Path) -> tuple[str, ...]:
+    """Return what is to be said of a file that is longer than its superblock says; a shorter one h5py refuses."""
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        place = 0
+        while place < size:  # behind a block of the user's, whose length is a power of two
+            stream.seek(place)
+            head = stream.read(64)
+            if head[:8] == b"\x89HDF\r\n\x1a\n":
+                break
+            place = max(512, 2 * place)
+    if place >= size or len(head) < 56:
+        return ()
+    version, width = head[8], head[13] if head[8] < 2 else head[9]
+    if width != 8:
+        return ()
+    # Version 0 and 1: base, free space, end of file; 2 and 3: base, extension, end of file.
+    end = struct.unpack_from("<Q", head, {0: 40, 1: 44}.get(version, 28))[0]
+    if end == size:
+        return ()
+    return (f"{path.name}: {size} bytes where its superblock says {end}; the file, or its begin, may be damaged",)
 
 
 def _checked_length(path: Path, dataset: h5py.Dataset, place: Place) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -100,6 +101,15 @@ def _segment(
     names = [name for name in segment["Channel names"] if name != "Comment"]
     at = find_columns(source, names, wanted, min(len(names), np.atleast_2d(segment["data"]).shape[1]))
     clock: tuple[float | None, float, tuple[str, ...]] = (*_clock(segment), ())
+    channels = re.search(r"^Channels[^0-9\n]*(\d+)", prefix, re.MULTILINE)
+    if channels and int(channels[1]) != sum(name != "X_Value" for name in names):
+        raise InputError(
+            f"{source}: {sum(name != 'X_Value' for name in names)} channels are named where its header counts "
+            f"{channels[1]}; the file is damaged: copy or export it again"
+        )
+    if part.rows > stated_rows and stated:
+        note = f"{source}: {part.rows} rows where its header states {stated_rows}; all are read"
+        clock = (*clock[:2], (note,))
     if part.rows < stated_rows:
         clock = _thinned(path, prefix, part, stated_rows, names, source)
     return guarded(path, _KIND, _blocks(path, prefix, part, at, clock, block))

@@ -10,7 +10,7 @@ import h5py
 
 from process.errors import InputError
 from process.labels import RECORD_SCALARS, RECORD_VECTORS, UNITS
-from smfe.records.formats.hdf5 import columns_of, open_file, read_places
+from smfe.records.formats.hdf5 import columns_of, end_notes, open_file, read_places
 from smfe.records.formats.reader import apart, format_apart
 from smfe.records.formats.table import Column, Format, Table, damaged, find_columns, guarded, join
 
@@ -80,6 +80,8 @@ def _own_blocks(path: Path, block: int) -> Iterator[xr.Dataset]:
                 raise InputError(
                     f"{path.name}: {name} has units {unit!r}; a record in our own layout has '{UNITS[name]}'"
                 )
+        if notes := end_notes(path):
+            dataset.attrs["notes"] = "\n".join([*filter(None, [dataset.attrs.get("notes")]), *notes])
         size = dataset.sizes["time"]
         for begin in range(0, max(size, 1), block):
             yield dataset[names].isel(time=slice(begin, min(begin + block, size))).load()

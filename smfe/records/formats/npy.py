@@ -1,17 +1,18 @@
 """NumPy files: .npy and .npz, arrays of numbers and lists of such arrays.
 
-Lists of arrays are pickles, and a pickle may run any code when it is loaded. They are taken apart here without NumPy's
-and Python's own constructors: of the four that such a file names, stand-ins note down the arguments; any other is
-refused.
+Lists of arrays are pickles, and a pickle may run any code, or ask for any memory, when it is loaded. It is never
+loaded: its words are read one by one, and of the four calls that such a file names the arguments are noted down; any
+other is refused.
 """
 
 from __future__ import annotations
 
 import io
 import itertools
-import pickle
+import pickletools
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -99,7 +100,7 @@ def _value(path: Path, content: bytes) -> Any:
     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, fortran, dtype = header(stream)
     if dtype.hasobject:
-        return _plain(_Unpickler(stream).load())
+        return _plain(_listed(stream))
     stated = int(np.prod(shape, dtype=object)) * dtype.itemsize
     refuse_oversize(path, stated, len(content) - stream.tell(), slack=0)
     return np.frombuffer(content, dtype, int(np.prod(shape)), stream.tell()).reshape(
@@ -107,51 +108,115 @@ def _value(path: Path, content: bytes) -> Any:
     )
 
 
-class _Type:
-    """Stand-in for numpy.dtype."""
-
-    order = "|"
-
-    def __init__(self, code: str, *_: object) -> None:
-        self.code = code
-
-    def __setstate__(self, state: tuple[Any, ...]) -> None:
-        self.order = state[1]
+class _Mark:
+    """Where a tuple or a list begins on the stack."""
 
 
-class _Array:
-    """Stand-in for numpy.ndarray."""
+@dataclass
+class _Made:
+    """What a pickle would make by a call: its name, its arguments and its state."""
 
+    name: str
+    arguments: tuple[Any, ...] = ()
     state: tuple[Any, ...] = ()
 
-    def __setstate__(self, state: tuple[Any, ...]) -> None:
-        self.state = state
+
+_KNOWN = {
+    ("numpy", "ndarray"): "ndarray",
+    ("numpy", "dtype"): "dtype",
+    ("multiarray", "_reconstruct"): "array",
+    ("_codecs", "encode"): "bytes",
+}
+"""What a list of arrays names: module (its last part) and name."""
+
+_CONSTANTS = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False}
+_EMPTY: dict[str, Callable[[], Any]] = {"EMPTY_TUPLE": tuple, "EMPTY_LIST": list}
+_PUSHED = ("BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT", "BINUNICODE", "SHORT_BINUNICODE", "BINUNICODE8")
+_BYTES = ("BINBYTES", "SHORT_BINBYTES", "BINBYTES8", "BINSTRING", "SHORT_BINSTRING")
 
 
-class _Unpickler(pickle.Unpickler):
-    def find_class(self, module: str, name: str) -> Any:
-        stand_ins = {
-            ("numpy", "ndarray"): _Array,
-            ("numpy", "dtype"): _Type,
-            ("multiarray", "_reconstruct"): lambda *_: _Array(),
-            ("_codecs", "encode"): lambda text, _: text.encode("latin-1"),
-        }
-        key = module.rpartition(".")[2], name
-        if key not in stand_ins:
-            raise pickle.UnpicklingError(f"it would call {module}.{name}")
-        return stand_ins[key]
+def _listed(stream: io.BytesIO) -> Any:
+    """Return what a list of arrays notes down, read word by word; nothing is called, whatever it names."""
+    stack: list[Any] = []
+    memo: dict[int, Any] = {}
+
+    def since_mark() -> list[Any]:
+        at = max(k for k, item in enumerate(stack) if isinstance(item, _Mark))
+        found = stack[at + 1 :]
+        del stack[at:]
+        return found
+
+    def named(module: str, name: str) -> _Made:
+        known = _KNOWN.get((module.rpartition(".")[2], name))
+        if known is None:
+            raise ValueError(f"it would call {module}.{name}")
+        return _Made(known)
+
+    value: Any
+    for word, value, _ in pickletools.genops(stream):
+        match word.name:
+            case "PROTO" | "FRAME":
+                pass
+            case "STOP":
+                return stack.pop()
+            case name if name in _CONSTANTS:
+                stack.append(_CONSTANTS[name])
+            case name if name in _EMPTY:
+                stack.append(_EMPTY[name]())
+            case name if name in _PUSHED:
+                stack.append(value)
+            case name if name in _BYTES:
+                stack.append(value.encode("latin-1") if isinstance(value, str) else bytes(value))
+            case "MARK":
+                stack.append(_Mark())
+            case "TUPLE":
+                stack.append(tuple(since_mark()))
+            case "TUPLE1" | "TUPLE2" | "TUPLE3":
+                count = int(word.name[-1])
+                found = tuple(stack[-count:])
+                del stack[-count:]
+                stack.append(found)
+            case "APPENDS":
+                found = tuple(since_mark())
+                stack[-1].extend(found)
+            case "APPEND":
+                item = stack.pop()
+                stack[-1].append(item)
+            case "PUT" | "BINPUT" | "LONG_BINPUT":
+                memo[int(value)] = stack[-1]
+            case "MEMOIZE":
+                memo[len(memo)] = stack[-1]
+            case "GET" | "BINGET" | "LONG_BINGET":
+                stack.append(memo[int(value)])
+            case "GLOBAL":
+                stack.append(named(*value.split(" ")))
+            case "STACK_GLOBAL":
+                name, module = stack.pop(), stack.pop()
+                stack.append(named(module, name))
+            case "REDUCE":
+                arguments, called = stack.pop(), stack.pop()
+                made = _Made(called.name, arguments)
+                stack.append(arguments[0].encode("latin-1") if called.name == "bytes" else made)
+            case "BUILD":
+                state = stack.pop()
+                stack[-1].state = state
+            case other:
+                raise ValueError(f"{other} in a list of arrays")
+    raise ValueError("a list of arrays without an end")
 
 
 def _plain(item: Any) -> Any:
-    """Return what a stand-in noted down: an array of numbers, or a list of them."""
-    if not isinstance(item, _Array):
+    """Return what was noted down: an array of numbers, or a list of them."""
+    if not isinstance(item, _Made) or item.name != "array":
         return np.asarray(item if isinstance(item, int | float | complex) else "")
     _, shape, kind, fortran, data = item.state
-    if kind.code.startswith("O"):
+    code = kind.arguments[0]
+    code = code.decode("latin-1") if isinstance(code, bytes) else code
+    if code.startswith("O"):
         return [_plain(child) for child in data]
-    if kind.code[0] not in "biufc":
+    if code[0] not in "biufc":
         return np.asarray("")
-    return np.frombuffer(data, kind.order + kind.code).reshape(shape, order="F" if fortran else "C")
+    return np.frombuffer(data, kind.state[1] + code).reshape(shape, order="F" if fortran else "C")
 
 
 FORMAT = format_apart(Format((".npy", ".npz"), read_tables, needs_time=lambda path: True))

@@ -77,6 +77,8 @@ class Function:
         Node and direction ("+X", or "").
     numerator, denominator : (int, str), optional
         Type of the quantity (8 displacement, 11 velocity, 12 acceleration, 13 force, ...) and its unit as written.
+    notes : tuple of str, optional
+        What the user should know of it although it can be read.
     """
 
     name: str
@@ -90,6 +92,7 @@ class Function:
     reference: tuple[str, str] = ("", "")
     numerator: tuple[int, str] = (0, "")
     denominator: tuple[int, str] = (0, "")
+    notes: tuple[str, ...] = ()
 
     def axis(self) -> Real:
         """Return the abscissae."""
@@ -129,7 +132,7 @@ def _sliced(path: Path, table: Table, block: int) -> Iterator[Table]:
 def _loaded(path: Path, table: Table) -> Table:
     """Return columns as numbers in memory that nothing else shares."""
     columns = {c: as_numbers(path.name, c, np.array(v, dtype=np.float64)) for c, v in table.columns.items()}
-    return Table(columns, table.sample_rate, table.start)
+    return Table(columns, table.sample_rate, table.start, table.notes)
 
 
 def _tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
@@ -174,7 +177,7 @@ def _table(path: Path, first: Function, columns: dict[str, Any], wanted: Sequenc
     names = list(columns)
     at = find_columns(path.name, names, wanted, len(names))
     rate = _rate(first.step) if first.x is None and first.step > 0.0 else None
-    return Table({column: columns[names[index]] for column, index in at.items()}, rate, first.first)
+    return Table({column: columns[names[index]] for column, index in at.items()}, rate, first.first, first.notes)
 
 
 def _segments(functions: Sequence[Function]) -> list[list[Function]]:
@@ -340,6 +343,11 @@ def _function(path: Path, header: Sequence[str], body: Body, binary: bytes) -> F
             f"{path.name}: a dataset 58 holds {numbers.size // width} values where its header states {count}; the "
             "file is damaged, copy or export it again"
         )
+    if not binary and np.any(numbers[count * width :] != 0.0):
+        raise InputError(
+            f"{path.name}: a dataset 58 holds {numbers.size} numbers where its header states {count} values; the "
+            "file is damaged, copy or export it again"
+        )
     rows = numbers[: count * width].reshape(count, width)
     x = None if even else rows[:, 0].copy()
     values = rows if even else rows[:, 1:]
@@ -364,6 +372,19 @@ def _function(path: Path, header: Sequence[str], body: Body, binary: bytes) -> F
         reference=reference,
         numerator=numerator,
         denominator=denominator,
+        notes=_stated_bytes(path, binary, len(body)) if binary else (),
+    )
+
+
+def _stated_bytes(path: Path, line: bytes, found: int) -> tuple[str, ...]:
+    """Return what is to be said where the line of the type counts other bytes than its values have."""
+    words = line.decode("latin-1").lower().split("b", 1)[1].split()
+    if words[2:3] not in ([], ["11"]):
+        raise ValueError(f"{words[2]} lines of header, and not 11")
+    if len(words) < 4 or words[3] in ("0", str(found)):
+        return ()
+    return (
+        f"{path.name}: a dataset 58 counts {words[3]} bytes where its values have {found}; its header may be damaged",
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -37,6 +37,7 @@ class _Layout:
     bytes_each: int
     begin: int
     length: int
+    notes: tuple[str, ...] = ()
 
     @property
     def frames(self) -> int:
@@ -63,45 +64,68 @@ def _layout(path: Path, stream: BinaryIO) -> _Layout:
     if head[:4] not in (b"RIFF", b"RF64") or head[8:] != b"WAVE":
         raise InputError(f"{path.name}: not a WAV file; it must begin with RIFF and WAVE")
     size = path.stat().st_size
-    form: tuple[int, int, int, int, int] | None = None
-    long_length = None
+    stated = 8 + struct.unpack("<I", head[4:8])[0]
+    form: tuple[int, ...] | None = None
+    long_length = counted = None
     while len(header := stream.read(8)) == 8:
         name, length = header[:4], struct.unpack("<I", header[4:])[0]
         begin = stream.tell()
         if name == b"ds64":
             long_length = struct.unpack("<QQ", stream.read(16))[1]
         elif name == b"fmt ":
-            form = _format(path, stream.read(min(length, 40)))
+            form = _format(stream.read(min(length, 40)))
+        elif name == b"fact" and length >= 4:
+            counted = struct.unpack("<I", stream.read(4))[0]
         elif name == b"data":
             if form is None:
                 break
             if length == _UNKNOWN:
                 length = long_length if long_length is not None else size - begin
             refuse_oversize(path, begin + length, size, slack=0)
-            return _checked(path, form, begin, length)
+            layout = _checked(path, form, begin, length)
+            if counted not in (None, 0, _UNKNOWN, layout.frames):
+                raise InputError(
+                    f"{path.name}: {layout.frames} samples a channel where its header counts {counted}; the file is "
+                    "damaged: copy or export it again"
+                )
+            return replace(layout, notes=_end(path, head, stated, begin + length, size))
         stream.seek(begin + length + length % 2)
     raise InputError(f"{path.name}: a WAV file without samples; it is truncated or damaged: copy or export it again")
 
 
-def _format(path: Path, text: bytes) -> tuple[int, int, int, int, int]:
-    tag, channels, rate, _, frame, bits = struct.unpack("<HHIIHH", text[:16])
+def _end(path: Path, head: bytes, stated: int, end: int, size: int) -> tuple[str, ...]:
+    """Return what is to be said of a file that does not end where its header says; recorders leave it open."""
+    if head[:4] == b"RF64" or stated in (8, 8 + _UNKNOWN) or abs(stated - size) <= 1:
+        return ()
+    if stated < end:
+        raise InputError(
+            f"{path.name}: its header says that it ends after {stated} bytes, and its samples after {end}; the file is "
+            "damaged: copy or export it again"
+        )
+    return (f"{path.name}: {size} bytes where its header says {stated}; what follows the samples is not read",)
+
+
+def _format(text: bytes) -> tuple[int, ...]:
+    """Return tag, channels, rate, bytes a second, bytes a frame and bits."""
+    tag, *others = struct.unpack("<HHIIHH", text[:16])
     if tag == _EXTENSIBLE:
         tag = struct.unpack("<H", text[24:26])[0]
-    return tag, channels, rate, frame, bits
+    return tag, *others
 
 
-def _checked(path: Path, form: tuple[int, int, int, int, int], begin: int, length: int) -> _Layout:
-    tag, channels, rate, frame, bits = form
+def _checked(path: Path, form: tuple[int, ...], begin: int, length: int) -> _Layout:
+    tag, channels, rate, each_second, frame, bits = form
     known = {_PCM: (8, 16, 24, 32), _FLOAT: (32, 64)}
     if bits not in known.get(tag, ()):
         raise InputError(
             f"{path.name}: samples of format {tag} with {bits} bits are not read; PCM of 8, 16, 24 or 32 bits and "
             "floating point of 32 or 64 bits are: export it as one of them"
         )
-    if channels < 1 or rate < 1 or frame != channels * bits // 8 or length % frame:
+    wrong = frame != channels * bits // 8 or each_second != frame * rate
+    if channels < 1 or rate < 1 or wrong or length % frame:
         raise InputError(
-            f"{path.name}: {channels} channels of {bits} bits at {rate} Hz, {frame} bytes a frame and {length} bytes "
-            "of samples do not fit together; the file is damaged: copy or export it again"
+            f"{path.name}: {channels} channels of {bits} bits at {rate} Hz, {frame} bytes a frame, {each_second} bytes "
+            f"a second and {length} bytes of samples do not fit together; the file is damaged: copy or export it again"
         )
     return _Layout(tag, channels, rate, bits // 8, begin, length)
 
@@ -113,7 +137,9 @@ def _blocks(path: Path, layout: _Layout, at: dict[Column, int], block: int) -> I
             count = min(block, layout.frames - begin)
             raw = stream.read(count * layout.channels * layout.bytes_each)
             values = _numbers(raw, layout).reshape(count, layout.channels)
-            yield Table({c: np.ascontiguousarray(values[:, k]) for c, k in at.items()}, float(layout.rate))
+            yield Table(
+                {c: np.ascontiguousarray(values[:, k]) for c, k in at.items()}, float(layout.rate), notes=layout.notes
+            )
 
 
 def _numbers(raw: bytes, layout: _Layout) -> Real:
