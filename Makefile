@@ -27,7 +27,7 @@ SMFE_DATA ?= $(CURDIR)/../shared/data
 export SMFE_DATA
 endif
 
-.PHONY: help demo kernels test one page paper figure slow calibrations exam exam-campaigns exam-machine accuracy strangers ram lint docs bench lock wheel clean wheel-installed
+.PHONY: help demo kernels test one page paper figure slow calibrations exam exam-campaigns exam-machine accuracy strangers ram fuzz lint docs bench lock wheel clean wheel-installed
 
 help:
 	@echo "make demo    run the demonstration and write its report to demo/"
@@ -46,6 +46,7 @@ help:
 	@echo "make accuracy  errors of the sweep estimators: writes docs/accuracy_table.md and docs/sweep_table.md (ten minutes)"
 	@echo "make strangers  records that nobody prepared, drawn at random: writes the tables in docs/ (an hour)"
 	@echo "make ram     cutting tests of the paper's ram machine, five seeds: writes docs/ram_table.md (ten minutes)"
+	@echo "make fuzz    damaged files of every format, resumable: writes docs/fuzz_table.md (ARGS=\"--minutes 30\" for less)"
 	@echo "make lint    ruff, mypy, import-linter, checks of files and structure"
 	@echo "make docs    the documentation, with its examples run, to docs/_build/html"
 	@echo "make bench   the benchmarks"
@@ -104,6 +105,10 @@ strangers: $(READY)
 # Sixty cutting tests of the paper's ram machine, five seeds: what section 6 of docs/paper shows.
 ram: $(READY) kernels
 	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.ram docs/ram_table.md --jobs $(JOBS) $(ARGS)
+
+# Resumes where the last sitting stopped (fuzz_state.json); a million inputs take some hours.
+fuzz: $(READY)
+	$(RUN) PYTHONPATH=tests $(BIN)/python -m exam.fuzz docs/fuzz_table.md $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .
