@@ -6,6 +6,7 @@ in the names of channels another name. Text that ends with a whole row is no oth
 On what makes the HDF5 library itself run on for ever, see test_hdf5_damage.py.
 """
 
+import re
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -237,3 +238,65 @@ def test_the_alarm_is_not_taken_for_an_error_of_the_file(tmp_path: Path) -> None
 
     with pytest.raises(Hang, match="more than 1 s"), alarm(1):
         reading()
+
+
+class TestWhatAFormatSaysTwice:
+    """A number that contradicts another of the same file is found out, though the samples are as they were."""
+
+    def wav(self, folder: Path) -> tuple[Path, bytearray]:
+        path, self.channels = make("wav", folder)
+        return path, bytearray(path.read_bytes())
+
+    @pytest.mark.parametrize(
+        ("at", "said"),
+        [
+            (24, r"8192 bytes a frame|\d+ bytes a second and \d+ bytes of samples do not fit together"),  # rate
+            (28, r"bytes a second and \d+ bytes of samples do not fit together"),
+            (32, r"bytes a frame, .* do not fit together"),
+            (4, r"its header says that it ends after \d+ bytes, and its samples after \d+|where its header says"),
+        ],
+    )
+    def test_of_a_wav_file(self, tmp_path: Path, at: int, said: str) -> None:
+        path, content = self.wav(tmp_path)
+        content[at] ^= 16
+        path.write_bytes(content)
+        try:
+            (record,) = read_records(path, self.channels)
+        except InputError as error:
+            text = str(error)
+        else:
+            text = record.attrs["notes"]
+        assert re.search(said, text), text
+
+    def test_samples_that_the_header_counts(self, tmp_path: Path) -> None:
+        path, content = self.wav(tmp_path)
+        content[content.index(b"fact") + 8] ^= 1
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"r\.wav: 256 samples a channel where its header counts 257; the file is"):
+            read_records(path, self.channels)
+
+    def test_channels_and_rows_of_labview(self, tmp_path: Path) -> None:
+        path, channels = make("lvm", tmp_path)
+        whole = path.read_text()
+        path.write_text(whole.replace("Channels\t2", "Channels\t3"))
+        with pytest.raises(InputError, match=r"r\.lvm, segment 0: 2 channels are named where its header counts 3"):
+            read_records(path, channels)
+        path.write_text(whole.replace("Samples\t256\t256", "Samples\t206\t206"))
+        (record,) = read_records(path, channels)
+        assert record.attrs["notes"] == "r.lvm, segment 0: 256 rows where its header states 206; all are read"
+
+    def test_bytes_of_a_binary_universal_file(self, tmp_path: Path) -> None:
+        path, channels = make("uff", tmp_path)
+        path.write_bytes(path.read_bytes().replace(b"2048", b"2049"))
+        (record,) = read_records(path, channels)
+        assert "a dataset 58 counts 2049 bytes where its values have 2048" in record.attrs["notes"]
+
+    @pytest.mark.parametrize("kind", ["h5", "nc", "mat73"])
+    def test_the_end_of_an_hdf5_file(self, tmp_path: Path, kind: str) -> None:
+        path, channels = make(kind, tmp_path)
+        assert "notes" not in read_records(path, channels)[0].attrs
+        size = path.stat().st_size
+        with path.open("ab") as stream:
+            stream.write(b"more")
+        (record,) = read_records(path, channels)
+        assert f"{path.name}: {size + 4} bytes where its superblock says {size}" in record.attrs["notes"]
