@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from smfe.diagnosis.judgement.finding import Estimate, FoundCause
 from smfe.diagnosis.story.words import listed, parameter_words, percent, rounded, unit_text, with_interval
 
-LEFT_OUT, WRONG, MEASURED = "leaves out", "is wrong about", "measurement"
+LEFT_OUT, WRONG, MEASURED, BESIDE = "leaves out", "is wrong about", "measurement", "beside"
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Friction:
 class Row:
     """How a cause is told."""
 
-    how: str  # one of `LEFT_OUT`, `WRONG`, `MEASURED`
+    how: str  # one of `LEFT_OUT`, `WRONG`, `MEASURED`, and `BESIDE` for what the measurement holds besides
     name: str  # what is left out or wrong
     numbers: str = ""  # template; empty: the parameters one by one
 
@@ -121,9 +121,9 @@ ROWS: Mapping[str, Row] = {
     "sensor_axis/declared": Row(MEASURED, "a sensor is turned, or shows a share of what lies across it"),
     "sensor_offset": Row(MEASURED, "the force sensor has an offset"),
     "dynamometer_dynamics": Row(MEASURED, "the dynamometer vibrates itself"),
-    "background_tone": Row(MEASURED, "a tone lies on the force", "{tone} at {tone_frequency}"),
-    "background_tone/unbalance": Row(MEASURED, "the spindle or tool is out of balance", "{unbalance}"),
-    "background_tone/spindle": Row(MEASURED, "a force turns with the spindle without cutting", "{turning_force}"),
+    "background_tone": Row(BESIDE, "a tone lies on the force", "{tone} at {tone_frequency}"),
+    "background_tone/unbalance": Row(BESIDE, "the spindle or tool is out of balance", "{unbalance}"),
+    "background_tone/spindle": Row(BESIDE, "a force turns with the spindle without cutting", "{turning_force}"),
 }
 """Key of a cause (or its id, for all variants) -> how it is told."""
 

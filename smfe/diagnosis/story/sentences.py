@@ -24,7 +24,8 @@ from smfe.diagnosis.judgement.finding import (
     Pocket,
     StableDepth,
 )
-from smfe.diagnosis.story.causes import LEFT_OUT, MEASURED, WRONG, YES_OR_NO, Friction, numbers_of, row_of
+from smfe.diagnosis.judgement.next_experiment import Revealed
+from smfe.diagnosis.story.causes import BESIDE, LEFT_OUT, MEASURED, WRONG, YES_OR_NO, Friction, numbers_of, row_of
 from smfe.diagnosis.story.words import (
     count_words,
     in_words,
@@ -174,7 +175,7 @@ def _verdict(finding: Finding, setting: Setting) -> Iterator[str]:
 def _opening(causes: Sequence[FoundCause], setting: Setting) -> str:
     sets = sets_of(causes)
     certain = [group[0] for group in sets if len(group) == 1]
-    groups = {how: [c for c in certain if row_of(c).how == how] for how in (LEFT_OUT, WRONG, MEASURED)}
+    groups = {how: [c for c in certain if row_of(c).how == how] for how in (LEFT_OUT, WRONG, MEASURED, BESIDE)}
     detail = ""
     # Of what was given wrongly the numbers stand first of all.
     if len(causes) == 1 and causes[0].variant != "declared":
@@ -188,6 +189,9 @@ def _opening(causes: Sequence[FoundCause], setting: Setting) -> str:
     if faults:
         besides = "Besides, the measurement" if parts else "The measurement"
         said.append(f"{besides} is at fault: {faults}{'' if parts else detail}.")
+    if beside := listed([_name(c) for c in groups[BESIDE]]):
+        what = "the measurement" if said else "The measurement"
+        said.append(f"{'Besides, ' if said else ''}{what} holds something else: {beside}{'' if said else detail}.")
     said += [f"Either {listed([_clause(c, setting) for c in group], 'or')}." for group in sets if len(group) > 1]
     return " ".join(said)
 
@@ -196,7 +200,7 @@ def _clause(cause: FoundCause, setting: Setting) -> str:
     """Return a cause as part of a sentence, of whichever kind it is, with its numbers."""
     row, numbers = row_of(cause), numbers_of(cause, False)
     more = f" ({numbers})" if numbers else ""
-    return f"{row.name}{more}" if row.how == MEASURED else f"the {setting.about} {row.how} {row.name}{more}"
+    return f"{row.name}{more}" if row.how in (MEASURED, BESIDE) else f"the {setting.about} {row.how} {row.name}{more}"
 
 
 def _name(cause: FoundCause) -> str:
@@ -489,7 +493,7 @@ def _next(finding: Finding, setting: Setting) -> Iterator[str]:
         # Of several parameters of a cause the first: the others would read alike.
         each = {r.title: r for r in reversed(n.reveals)}
         shown = [
-            f"{r.title} from {rounded(r.size, 2)}{unit_text(r.unit)} on"
+            f"{_revealed(r)} from {rounded(r.size, 2)}{unit_text(r.unit)} on"
             + (f" (so far from {rounded(r.so_far, 2)}{unit_text(r.unit)} on)" if math.isfinite(r.so_far) else "")
             for r in [r for r in n.reveals if each[r.title] is r][:_REVEALED]
         ]
@@ -501,6 +505,11 @@ def _next(finding: Finding, setting: Setting) -> Iterator[str]:
         )
     else:
         yield f"Next: {do}{price}; {n.expected}."
+
+
+def _revealed(r: Revealed) -> str:
+    """Return what would be seen; of a pure number what it is of."""
+    return r.title if r.unit != "1" else f"{r.title} ({parameter_words(r.parameter)})"
 
 
 def _known_apart(alike: Sequence[FoundCause]) -> str:

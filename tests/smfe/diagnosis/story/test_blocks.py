@@ -158,14 +158,31 @@ def test_every_experiment_of_the_catalogue_is_an_instruction_and_tables_that_the
         assert more in ((1, 0), (0, 1), (0, 2)), p.name
 
 
-def test_every_verdict_has_a_next_experiment(tmp_path: Path) -> None:
-    """Where nothing of the catalogue explains the data, what carries the remainder is made once more."""
+@pytest.mark.parametrize("kind", CATALOGUE)
+def test_every_verdict_has_a_next_experiment(tmp_path: Path, kind: str) -> None:
+    """Also where the search has none to propose: what it is for fits the verdict, and its tables are accepted."""
+    make, tables = CATALOGUE[kind]
+    given, family = campaign(tmp_path, CHANNELS, *tables), make()
+    for verdict, purpose in (
+        ("consistent", "one more test of it"),
+        ("named", "a test of the whole"),
+        ("ambiguous", "separates them best"),
+        ("unknown", "what is left depends on"),
+        ("insufficient_data", "adds what is missing"),
+    ):
+        told = with_consequences(given, family, Finding(verdict, "it is"), ())
+        n = told.next_experiment
+        assert n is not None
+        assert (n.do, n.block) != ("", "")
+        appended(given, n.block)
+        (said,) = [p.text for p in told.passages if p.about == "next"]
+        assert purpose in said
+        assert n.do in said
+
+
+def test_what_carries_an_unknown_remainder_is_made_once_more(tmp_path: Path) -> None:
     given, family = campaign(tmp_path, CHANNELS, AXIS, HIT), axis()
     left = Remainder(3.0, 1e-9, 0.2, 0.4, ("hammer_500",))
-    for verdict in ("consistent", "named", "ambiguous", "insufficient_data"):
-        told = with_consequences(given, family, Finding(verdict, "it is"), ()).next_experiment
-        assert told is not None
-        assert added(appended(given, told.block)).method == "hammer"
     told = with_consequences(given, family, Finding("unknown", "it is", remainder=left), ())
     assert told.next_experiment is not None
     assert added(appended(given, told.next_experiment.block)).feed == given.measurements[0].feed

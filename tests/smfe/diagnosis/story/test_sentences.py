@@ -99,6 +99,17 @@ def test_a_share_is_neither_higher_nor_lower_and_a_change_along_the_stroke_is() 
     assert "radius of tooth 2: 15 µm" in told(Finding("named", "", (insert,), errors=ERRORS))[0].text
 
 
+def test_what_the_measurement_holds_besides_is_no_fault_of_it() -> None:
+    size = (Estimate("unbalance", 1.28, 1.13, 1.44, "g mm"),)
+    found = FoundCause("background_tone", "unbalance", "unbalance", "measurement", size, 9.0, 12.7, 1.0)
+    assert say("verdict", Finding("named", "", (found,)))[0].startswith(
+        "The measurement holds something else: the spindle or tool is out of balance: 1.3 g mm."
+    )
+    assert (
+        "Besides, the measurement holds something else: the" in say("verdict", Finding("named", "", (DELAY, found)))[0]
+    )
+
+
 def test_a_sensor_of_the_wrong_sign_is_the_one_that_its_parameter_names() -> None:
     for name, said, do in (
         ("reversed_x", "the sign of the accelerometer along x is wrong", "sign = -1 on the sensor along x"),
