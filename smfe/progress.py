@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Mapping
@@ -48,6 +49,16 @@ def parts(progress: Progress, weights: Mapping[str, float]) -> dict[str, Progres
         at += weight
     return out
 
+
+def visible(text: str) -> str:
+    """Return a text in which signs that a terminal obeys, and those that turn the reading round, are seen.
+
+    Names and values come from files; an escape in them could clear the screen, or write what was never said.
+    """
+    return _OBEYED.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
+
+
+_OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 
 _OURS = ("smfe", "stability", "process")
 

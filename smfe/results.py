@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import json
+import re
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -101,8 +102,43 @@ def _groups(tree: xr.DataTree) -> dict[str, xr.Dataset]:
 
 
 def write_csv(path: Path, frame: pd.DataFrame) -> Path:
-    """Write a table as CSV; empty where there is no number."""
-    return write_atomically(path, lambda p: frame.to_csv(p, index=False, lineterminator="\n"))
+    """Write a table as CSV; empty where there is no number, and no cell a formula (`defused`)."""
+    return write_atomically(path, lambda p: defused(frame).to_csv(p, index=False, lineterminator="\n"))
+
+
+_FORMULA = re.compile(r"[=@\t\r]|[-+](?!(?:[\w.:% ]|(?<=[eE])[-+])*$)")
+"""Begin of a text that a spreadsheet takes for a formula; signs before numbers and words are none."""
+
+
+def defused(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return a table whose texts no spreadsheet takes for formulas: those that begin like one get an apostrophe.
+
+    Names come from campaigns and files of others; a formula may start a program of whoever opens the table.
+    """
+
+    def of(cell: object) -> object:
+        return f"'{cell}" if isinstance(cell, str) and _FORMULA.match(cell) else cell
+
+    texts = [k for k, kind in enumerate(frame.dtypes) if kind.kind not in "biufcM"]
+    out = frame.copy(deep=False)
+    for k in texts:
+        if any(isinstance(cell, str) and _FORMULA.match(cell) for cell in frame.iloc[:, k]):
+            out.isetitem(k, frame.iloc[:, k].map(of))
+    return out.rename(columns=of)
+
+
+def as_named(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return a table as it was before `defused`."""
+
+    def of(cell: object) -> object:
+        return cell[1:] if isinstance(cell, str) and cell[:1] == "'" and _FORMULA.match(cell[1:]) else cell
+
+    texts = [k for k, kind in enumerate(frame.dtypes) if kind.kind not in "biufcM"]
+    out = frame.copy(deep=False)
+    for k in texts:
+        if any(isinstance(cell, str) and cell[:1] == "'" for cell in frame.iloc[:, k]):
+            out.isetitem(k, frame.iloc[:, k].map(of))
+    return out.rename(columns=of)
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> Path:

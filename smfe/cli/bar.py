@@ -12,7 +12,7 @@ from rich.progress import Progress as RichProgress
 from rich.table import Column
 from rich.text import Text
 
-from smfe.progress import Progress
+from smfe.progress import Progress, visible
 
 HEARTBEAT = 20.0
 """Seconds between lines where the output is no terminal and the work is the same."""
@@ -92,7 +92,7 @@ def bar(console: Console, verbose: bool = False) -> Iterator[Progress]:
         task = progress.add_task("starting", total=1.0)
 
         def report(step: str, done: int, of: int) -> None:
-            progress.update(task, description=step, completed=estimate.report(done, of))
+            progress.update(task, description=visible(step), completed=estimate.report(done, of))
             if verbose and seen.new(step):
                 console.print(_line(step, estimate), markup=False, highlight=False)
 
@@ -118,7 +118,7 @@ def lines(console: Console, verbose: bool = False) -> Iterator[Progress]:
 def _line(step: str, estimate: Estimate) -> str:
     left = estimate.left
     still = "" if left is None else f", about {duration(left)} left"
-    return f"{step} ({100 * estimate.share:.0f} %, {duration(estimate.elapsed)}{still})"
+    return f"{visible(step)} ({100 * estimate.share:.0f} %, {duration(estimate.elapsed)}{still})"
 
 
 class _Seen:

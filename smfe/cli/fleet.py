@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from smfe.cli.terminal import Outcome, Terminal
 from smfe.cli.verb import FILES, OUT, any_files, result_folders, verb
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SHOWN = 20
 """Rows that are printed; all of them go to a file."""
@@ -112,7 +115,9 @@ def catalogue(
     return Outcome(lines, content)
 
 
-def _csv(frame: object) -> list[str]:
+def _csv(frame: pd.DataFrame) -> list[str]:
+    from smfe.results import defused
+
     stream = io.StringIO()
-    frame.to_csv(stream, index=False, lineterminator="\n")  # type: ignore[attr-defined]
+    defused(frame).to_csv(stream, index=False, lineterminator="\n")
     return stream.getvalue().splitlines()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from rich.console import Console
 
 from smfe.cli.bar import bar, lines
 from smfe.cli.interrupt import answer
-from smfe.progress import Progress, silent
+from smfe.progress import Progress, silent, visible
 
 if TYPE_CHECKING:
     from smfe.results import Failures
@@ -122,7 +123,12 @@ class Terminal:
 
     def print_json(self, content: Mapping[str, Any]) -> None:
         """Print one JSON object; numbers that JSON does not have become null."""
-        typer.echo(json.dumps(plain(content), indent=2, ensure_ascii=False))
+        text = json.dumps(plain(content), indent=2, ensure_ascii=False)
+        # JSON escapes the first 32 signs itself.
+        typer.echo(_LEFT.sub(lambda found: f"\\u{ord(found[0]):04x}", text))
+
+
+_LEFT = re.compile("[\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 
 
 def _answering(progress: Progress) -> Progress:
@@ -152,4 +158,4 @@ def plain(value: Any) -> Any:
 
 def _say(console: Console, text: str) -> None:
     # A terminal breaks between words; what is piped on stays one line.
-    console.print(text, markup=False, highlight=False, soft_wrap=not console.is_terminal)
+    console.print(visible(text), markup=False, highlight=False, soft_wrap=not console.is_terminal)

@@ -94,6 +94,17 @@ def verb(
                 with listening(), warnings.catch_warnings():
                     # What must be known of the result stands in the outcome, and is said there.
                     warnings.simplefilter("ignore", SmfeWarning)
+                    # What was kept and is damaged is not part of any result.
+                    warnings.filterwarnings("always", ".*is not as it was written", SmfeWarning)
+                    plainly = warnings.showwarning
+
+                    def shown(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+                        if isinstance(message, SmfeWarning):
+                            terminal.note(f"warning, {message}")
+                        else:
+                            plainly(message, category, *where, **more)
+
+                    warnings.showwarning = shown
                     outcome = function(terminal, **arguments)
                 terminal.end(outcome)
             except KeyboardInterrupt:

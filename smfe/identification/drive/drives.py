@@ -23,7 +23,7 @@ from smfe.identification.drive.parameters import identify_drive
 from smfe.identification.drive.results import DriveFit
 from smfe.identification.measurement import records_of
 from smfe.progress import Progress, silent
-from smfe.results import MEASUREMENT, Failures, attempt, pack_warnings, read_groups, write_csv, write_groups
+from smfe.results import MEASUREMENT, Failures, as_named, attempt, pack_warnings, read_groups, write_csv, write_groups
 
 DRIVE_FILE = "drives.csv"
 
@@ -115,7 +115,7 @@ def drive_lines(path: Path) -> list[str]:
     """Return what a table says in sentences; nothing where there is no file."""
     if not path.is_file():
         return []
-    rows = pd.read_csv(path, keep_default_na=False, na_values=[""]).to_dict("records")
+    rows = as_named(pd.read_csv(path, keep_default_na=False, na_values=[""])).to_dict("records")
     return [sentence({str(key): value for key, value in row.items()}) for row in rows]
 
 

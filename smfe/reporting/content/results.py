@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from process.errors import InputError
 from process.labels import UNITS, check_compliance
 from process.types import Complex, Real
-from smfe.results import Failures, of_file, read_groups, unpack, unpack_warnings
+from smfe.results import Failures, as_named, of_file, read_groups, unpack, unpack_warnings
 
 BAD_CONDITION = 30.0
 """Above this condition number of the forces a frequency counts as badly conditioned."""
@@ -508,7 +508,9 @@ def _read_csv(path: Path, columns: Sequence[str]) -> pd.DataFrame | None:
         return None
     try:
         # Only an empty field is missing: a measurement may be called "NA".
-        frame = pd.read_csv(path, dtype=dict.fromkeys(_TEXT_COLUMNS, str), keep_default_na=False, na_values=[""])
+        frame = as_named(
+            pd.read_csv(path, dtype=dict.fromkeys(_TEXT_COLUMNS, str), keep_default_na=False, na_values=[""])
+        )
     except pd.errors.EmptyDataError:
         return pd.DataFrame(columns=list(columns))
     except (OSError, ValueError) as error:
