@@ -200,6 +200,7 @@ _POCKETS = {
     "removal_rate_cm3_min": "removal rate [cm³/min]",
     "range": "holds from–to [rpm]",
     "chatter_frequency_Hz": "chatter frequency [Hz]",
+    "limited_by": "limited by",
     "note": "note",
 }
 
@@ -210,6 +211,7 @@ def pockets(results: Results, request: str) -> Table | None:
     if found is None or not {"lobes", "depth_of_cut_mm", "at_edge", "recommended"} <= set(found):
         return None
     rows = found[found["lobes"] == request]
+    columns = {name: title for name, title in _POCKETS.items() if name != "limited_by" or name in found}
     out = []
     for row in rows.to_dict("records"):
         text, between = with_range(*(row.get(f"limit_depth{end}_mm") for end in ("", "_p05", "_p95")))
@@ -220,6 +222,6 @@ def pockets(results: Results, request: str) -> Table | None:
         cells["source"] = spoken(str(row["source"]))
         cells["range"] = f"{number(row['speed_from_rpm'])}–{number(row['speed_to_rpm'])}"
         cells["chatter_frequency_Hz"] = number(row["chatter_frequency_Hz"], 3)
-        out.append(Row(tuple(number(cells[name]) for name in _POCKETS), "advised" if advised else ""))
-    numeric = tuple(name not in ("source", "note") for name in _POCKETS)
-    return Table(tuple(_POCKETS.values()), numeric, tuple(out), "Pockets") if out else None
+        out.append(Row(tuple(number(cells[name]) for name in columns), "advised" if advised else ""))
+    numeric = tuple(name not in ("source", "limited_by", "note") for name in columns)
+    return Table(tuple(columns.values()), numeric, tuple(out), "Pockets") if out else None

@@ -251,3 +251,20 @@ def test_a_step_that_divides_nothing_is_refused(tmp_path):
         with pytest.raises(InputError, match="does not divide 2 mm to 8 mm"):
             load_campaign(loaded.path)
         loaded = campaign(tmp_path)
+
+
+def test_named_speeds_keep_within_what_is_allowed_wherever_the_spindle_may_turn(tmp_path):
+    loaded = campaign(tmp_path, DEFLECTION)
+    named = loaded.path.read_text().replace(
+        '["10000 rpm", "14000 rpm", "100 rpm"]', '{ speeds = ["11000 rpm", "12500 rpm"] }'
+    )
+    loaded.path.write_text(named)
+    loaded = load_campaign(loaded.path)
+    found = all_lobes(loaded, {"spindle": MODES.compliance(np.arange(300.0, 2500.0, 2.0))}, silent)
+    best = recommend(found, loaded).best
+    assert best.spindle_speed_rpm in (11000.0, 12500.0)
+    assert "the deflection of the tool" in best.limited_by
+    speeds = best.spindle_speed_rpm * np.array([0.99, 0.995, 1.0, 1.005, 1.01])
+    depth = 1e-3 * best.depth_of_cut_mm
+    at = stability.cut_maps(MODES, TOOL, ARC, ALUMINIUM, [depth, depth + 1e-4], 1e-4, speeds)["deflection"]
+    assert float(at[:, 0].max()) <= 20.0 * 1.001 < float(at[:, 1].max())
