@@ -85,23 +85,39 @@ def tangent(model: Model, target: Target, fit: Fit, causes: Sequence[int] | None
 def widened(model: Model, target: Target, fit: Fit, known: Tangent, row: int, causes: Sequence[int]) -> Tangent:
     """Linearise a fit whose target has one condition more, `row`, than the one of which the tangent is `known`.
 
-    What the causes do to the conditions before is known: only in the new one slopes are taken, but of a cause that does
-    there what it does nowhere else.
+    What the causes do to the conditions before is known: only in the new one slopes are taken, but of a cause of which
+    more acts there than anywhere else.
     """
     slope, residual = stacked(model, target, fit.free, fit.u, fit.residual, fit.slope)
     basis = orthonormal(slope[:, inside(model, fit)])
     found: list[Signature] = []
     for k in causes:
-        mine, own = model.of_cause[k], [s for s in known.signatures if s.cause == k]
-        more = [model.slopes([row], s.u, mine) for s in own]
-        wider = [{**s.slope, **x} for s, x in zip(own, more, strict=True) if x is not None and s.raw.any()]
+        mine, own = model.of_cause[k], [s for s in known.signatures if s.cause == k and s.raw.any()]
+        more = [_slope_of(model, fit, s, row, mine) for s in own]
         acting = [np.isin(mine, s.free) for s in own]
-        if own and len(wider) == len(own) and all(_silent(x[row], a) for x, a in zip(wider, acting, strict=True)):
+        if not own:
+            found += _signatures(model, target, fit, k, basis, (row,))
+        elif all(x is not None and _silent(x, a) for x, a in zip(more, acting, strict=True)):
+            wider = [{**s.slope, row: x} for s, x in zip(own, more, strict=True) if x is not None]
             for s, x, a in zip(own, wider, acting, strict=True):
                 found.append(_signature(model, target, k, s.free, s.u, x, a, basis))
         else:
             found += _signatures(model, target, fit, k, basis)
     return Tangent(fit, basis, residual, tuple(found), ())
+
+
+def _slope_of(model: Model, fit: Fit, s: Signature, row: int, mine: Index) -> Real | None:
+    """Return what a signature is in another condition: slopes, or from a step of what has no slope at its null."""
+    if np.array_equal(s.u[s.free], fit.u[s.free]):
+        slope = model.slopes([row], s.u, mine)
+        return None if slope is None else slope[row]
+    (j,) = s.free
+    before, after = model.predict(row, fit.u), model.predict(row, s.u)
+    if before is None or after is None:
+        return None
+    out = np.zeros((before.size, mine.size))
+    out[:, j - mine[0]] = (after - before) / (s.u[j] - fit.u[j])
+    return out
 
 
 def _silent(slope: Real, acting: NDArray[np.bool_]) -> bool:
@@ -110,22 +126,26 @@ def _silent(slope: Real, acting: NDArray[np.bool_]) -> bool:
     return not np.any(norms[~acting] > RULES.silent * max(1.0, float(norms.max(initial=0.0))))
 
 
-def _signatures(model: Model, target: Target, fit: Fit, k: int, basis: Real) -> list[Signature]:
-    rows, mine = list(target.observed), model.of_cause[k]
+def _signatures(
+    model: Model, target: Target, fit: Fit, k: int, basis: Real, only: Sequence[int] = ()
+) -> list[Signature]:
+    """Return the signatures of a cause for each of its shapes; it may be known to act in some conditions `only`."""
+    rows, mine = list(only or target.observed), model.of_cause[k]
+    none = {r: np.zeros((y.size, mine.size)) for r, y in target.observed.items() if r not in rows}
     slope = model.slopes(rows, fit.u, mine)
     if slope is None:
         return []
     norms = np.linalg.norm(np.concatenate([slope[r] for r in rows]), axis=0)
     acting = norms > RULES.silent * max(1.0, float(norms.max()))
     if not acting.any():
-        return _secants(model, target, fit, k, basis)
+        return [] if only else _secants(model, target, fit, k, basis)
     found = []
     for shape in _shapes(model, fit, k, mine[~acting]):
         at = fit.u.copy()
         at[mine[~acting]] = shape
         here = slope if np.array_equal(at, fit.u) else model.slopes(rows, at, mine)
         if here is not None:
-            found.append(_signature(model, target, k, mine[acting], at, here, acting, basis))
+            found.append(_signature(model, target, k, mine[acting], at, none | here, acting, basis))
     return found
 
 

@@ -118,7 +118,10 @@ class Bench:
         start = at.u.copy()
         start[self.model.of_cause[dropped]] = 0.0
         kept = np.isin(at.free, self.model.free(causes))
-        return self._keep(fit(self.model, self.target, causes, start, {r: x[:, kept] for r, x in at.slope.items()}))
+        slope = {r: x[:, kept] for r, x in at.slope.items()}
+        old = self.fits.get(causes)
+        most = old.chi2 if old is not None and old.converged and not old.provisional else np.inf
+        return self._keep(fit(self.model, self.target, causes, start, slope, most))
 
     def pursued(self, found: Fit) -> Fit:
         """Follow a fit that did not end from where it stopped."""

@@ -200,12 +200,14 @@ def _with(
 ) -> dict[tuple[str, str], float] | None:
     """Sizes that would be seen if a condition were measured as well and showed what the baseline predicts."""
     null = here.fit
+    wanted = [k for k, c in enumerate(model.causes) if c.key in causes]
+    # In closed form all slopes together cost little more than one; they are kept.
+    model.slopes([row], null.u, np.concatenate([null.free, *(model.of_cause[k] for k in wanted)]))
     predicted, slope = model.predict(row, null.u), model.slopes([row], null.u, null.free)
     if predicted is None or slope is None:
         return None
     more = Target({**target.observed, row: predicted}, target.centre)
     fit = replace(null, residual={**null.residual, row: np.zeros_like(predicted)}, slope={**null.slope, **slope})
-    wanted = [k for k, c in enumerate(model.causes) if c.key in causes]
     return _sizes(model, detectable(model, widened(model, more, fit, here, row, wanted), limit))
 
 
