@@ -294,6 +294,32 @@ def test_lobes_of_the_extended_model_are_those_that_the_finding_states(
         assert max(abs(r.after_mm / r.before_mm - 1.0) for r in told) > 0.05
 
 
+@pytest.mark.slow
+def test_lobes_of_an_axis_with_the_friction_that_its_records_found_are_those_that_the_finding_states(
+    tmp_path: Path,
+) -> None:
+    rides = """[machine.axis.x]
+moving_mass = "80 kg"
+tip_mass = "15 kg"
+stiffness = "8 N/um"
+damping = "900 N s/m"
+controllers = { K2 = { Kp = "20000 N s/m", Ti = "10 ms", Kv = "30 1/s", delay = "1 ms" } }
+friction = { law = "viscous", sigma = "200 N s/m" }
+"""
+    asked = ASKED.replace('"maker"', '"machine"').replace("zero_order", "operating_point")
+    drive = '[baseline]\ndrive = "rigid"\naxis = "x"\nmoving_mass = "95 kg"\n'
+    given = campaign(tmp_path, CHANNELS, TOOL, drive, rides, asked, MOVED)
+    family = moved()
+    finding = found(family, "loop_delay", **{"viscous": 4000.0, "loop_delay.delay": 0.5e-3})
+    whole = read(tmp_path, given, family, finding)
+    (result,) = all_lobes(whole, {}, silent)
+    depths, why = depths_of(given, family)
+    assert depths is not None, why
+    told = stable_depths(given, depths, finding.values)
+    assert result.lobes["limit_depth"].values == pytest.approx([r.after_mm for r in told], rel=0.02)
+    assert max(abs(r.after_mm / r.before_mm - 1.0) for r in told) > 0.02
+
+
 def test_records_of_a_public_data_set_keep_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if not (DATA / "milling_forces_ubc").is_dir():
         pytest.skip(f"{DATA} is not here; set SMFE_DATA to the folder of public data")
