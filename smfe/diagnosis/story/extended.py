@@ -20,6 +20,7 @@ import numpy as np
 from scipy import linalg
 
 from process import units
+from process.friction.laws import LuGre
 from process.machine.modes import HIGHEST_DAMPING, ModalModel
 from process.types import Real
 from smfe.campaign import Campaign
@@ -176,7 +177,9 @@ def _write_axis(draft: _Draft, campaign: Campaign, family: MachineFrfs, values: 
     elif told:
         table["controllers"] = told
     draft.tables["baseline"] = table
-    _put_axis(draft, baseline.axis, table, told)
+    law = baseline.machine(found).axes[baseline.axis].friction
+    friction = _bristles(law) if isinstance(law, LuGre) else table["friction"]
+    _put_axis(draft, baseline.axis, {**table, "friction": friction}, told)
     held = ("guideway_friction", "friction_asymmetry", "servo_gains", "loop_delay")
     draft.held |= {c.key for c in family.causes if c.id in held}
     if isinstance(family, AxisEvidence) and family.cuts is not None:
@@ -211,7 +214,8 @@ def _put_axis(draft: _Draft, axis: str, table: Mapping[str, Any], controllers: M
                 {
                     **{key: lobes[key] for key in _OF_LOBES if key in lobes},
                     "measurements": ["machine"],
-                    "method": "operating_point",
+                    # Harmonic balance knows no friction with memory; linearised at the feed of the cut it is known.
+                    "method": "zero_order" if lobes["method"] == "operating_point" else lobes["method"],
                 }
                 for lobes in asked
             ),
@@ -229,6 +233,22 @@ def _friction(sides: tuple[Side, Side]) -> dict[str, Any]:
         return {"law": "coulomb_viscous", "coulomb": _text(forth.coulomb, "N"), "sigma": _text(forth.viscous, "N s/m")}
     law = {"law": "andersson", **_side(forth), "kt": _STEEP}
     return law if forth == back else {**law, "negative": _side(back)}
+
+
+def _bristles(law: LuGre) -> dict[str, Any]:
+    """Return friction with what the guideway gives way before it slides, on which small vibration depends."""
+
+    def side(one: LuGre) -> dict[str, str]:
+        return {
+            "coulomb": _text(one.coulomb, "N"),
+            "static": _text(one.static, "N"),
+            "stribeck_speed": _text(6e4 * one.stribeck_speed, "mm/min"),
+            "sigma": _text(one.sigma, "N s/m"),
+        }
+
+    stiff = {"bristle_stiffness": _text(1e-6 * law.bristle_stiffness, "N/um")}
+    forth = {"law": "lugre", **side(law), **stiff, "bristle_damping": _text(law.bristle_damping, "N s/m")}
+    return forth if law.negative is None else {**forth, "negative": side(law.negative)}
 
 
 def _side(s: Side) -> dict[str, str]:
