@@ -163,7 +163,7 @@ def depths_within(
             progress("depths within the limits", k, speed.size)
         top = float(most[k]) if math.isfinite(most[k]) and most[k] > 0.0 else 1e-3
         cut = partial(vibration_over_depth, machine, tool, arc, coefficients)
-        depth = np.array([top]) if tool.equal_pitch else top * np.linspace(0.0, 1.0, 21)[1:]
+        depth = np.array([top]) if tool.equal_pitch else top * np.linspace(0.0, 1.0, 13)[1:]
         found = cut(depth, feed_per_tooth, float(n), COARSEST)
         if math.isfinite(surface_error) and not found.wall:
             raise InputError(

@@ -19,8 +19,8 @@ from smfe.progress import Progress
 from stability import cut_maps
 from stability.vibration_maps import depths_within
 
-MOST_SPEEDS, DEPTHS = 161, 40
-"""Spindle speeds of a map, a finer range is thinned to it; depths of it."""
+MOST_SPEEDS, MOST_UNEQUAL, DEPTHS = 161, 81, 40
+"""Spindle speeds of a map, of equal and of unequal pitch, a finer range is thinned to it; depths of it."""
 
 REACH = {"deflection_depth": "deflection", "surface_depth": "surface_error"}
 """Variable of lobes over the spindle speed -> key of ``[[lobes]]`` that it is the greatest depth of."""
@@ -52,7 +52,7 @@ def maps_over(asked: AskedCut, speeds: Real, deepest: float, limits: xr.Dataset,
     asked : AskedCut
         The cut and the modes.
     speeds : ndarray, shape (speeds,)
-        Spindle speeds [rpm], rising; at most `MOST_SPEEDS` of them are looked at.
+        Spindle speeds [rpm], rising; at most `MOST_SPEEDS` of them are looked at, `MOST_UNEQUAL` with unequal pitch.
     deepest : float
         Greatest depth [m].
     limits : xarray.Dataset
@@ -65,7 +65,8 @@ def maps_over(asked: AskedCut, speeds: Real, deepest: float, limits: xr.Dataset,
     xarray.Dataset
         Variables of `TITLES` and ``stable`` over (spindle_speed, depth_of_cut), and ``limit_depth(spindle_speed)``.
     """
-    pick = np.unique(np.linspace(0, speeds.size - 1, min(speeds.size, MOST_SPEEDS)).round().astype(int))
+    most = MOST_SPEEDS if asked.tool.equal_pitch else MOST_UNEQUAL
+    pick = np.unique(np.linspace(0, speeds.size - 1, min(speeds.size, most)).round().astype(int))
     limit = limits["limit_depth"].sel(spindle_speed=speeds[pick], method="nearest").values.astype(float)
     depth = deepest * np.arange(1, DEPTHS + 1) / DEPTHS
     cut = (asked.tool, asked.arc, asked.coefficients)

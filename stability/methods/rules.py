@@ -99,6 +99,10 @@ class MethodRules:
     """Steps of the coarsest mesh, beyond those that resolve the fastest mode."""
     most_steps_of_vibration: int = 2048
     """Doubling stops here."""
+    chips_of_vibration: int = 60
+    """Vectors that chips of a periodic vibration are looked for in, at most; beyond, all of them are solved for."""
+    residual_of_chips: float = 1e-8
+    """Of the chips: above it those vectors do not suffice."""
 
     # vibration_mode.py
     reach_of_samples: float = 30.0

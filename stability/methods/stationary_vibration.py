@@ -217,6 +217,11 @@ class _AtSpeed:
         return dense(cut_at_speed(self.mesh, self.modes, self._spindle_speed))
 
     @cached_property
+    def repeated(self) -> Real:
+        """The operator M(1), shape (m, m) [1/m]: what periodic chips make of themselves a unit of depth."""
+        return np.asarray(self.dense.crossing(np.zeros(1))[0].real)
+
+    @cached_property
     def free_chips(self) -> Real:
         """The chips of the static force a unit of depth, shape (m,)."""
         return np.asarray(np.einsum("mi,im->m", self.mesh.chip, self.response(self.static)[1]))
@@ -226,17 +231,57 @@ class _AtSpeed:
         static = depth * self.static
         if self.mesh.pattern.delay.size == 1 or np.ptp(self.mesh.pattern.delay) < 1e-12:
             return np.asarray(static)  # the vibration repeats from tooth to tooth, and leaves no wave
-        crossing = self.dense.crossing(np.zeros(1))[0].real
-        x = np.linalg.solve(np.eye(crossing.shape[0]) - depth * crossing, depth * self.free_chips)
-        return np.asarray(static + depth * self.mesh.force * ((self.dense.kept - self.dense.wrapped) @ x))
+        basis, matrix, beyond = self.chips_within
+        first = np.zeros(matrix.shape[0])
+        first[0] = depth * float(np.linalg.norm(self.free_chips))
+        y = np.linalg.solve(np.eye(first.size) - depth * matrix, first)
+        x = basis @ y
+        if depth * beyond * abs(y[-1]) > RULES.residual_of_chips * float(np.linalg.norm(y)):
+            x = np.linalg.solve(np.eye(x.size) - depth * self.repeated, depth * self.free_chips)
+        return np.asarray(static + depth * self.mesh.force * (self.changed @ x))
+
+    @cached_property
+    def changed(self) -> Real:
+        """What chips change: themselves less the surface left, shape (m, m)."""
+        return np.asarray(self.dense.kept - self.dense.wrapped)
+
+    @cached_property
+    def chips_within(self) -> tuple[Real, Real, float]:
+        """A basis (m, k) in which periodic chips lie at any depth, M(1) in it (k, k), and how far it leads beyond.
+
+        The operator smooths: the space that the free chips and its powers span holds the solution after few of them
+        (Arnoldi; the residual is known at each depth).
+        """
+        free, most = self.free_chips, min(RULES.chips_of_vibration, self.free_chips.size)
+        basis, matrix = np.zeros((free.size, most + 1)), np.zeros((most + 1, most))
+        basis[:, 0] = free / np.linalg.norm(free)
+        for k in range(most):
+            v = self.repeated @ basis[:, k]
+            scale = float(np.linalg.norm(v))
+            for _ in range(2):
+                share = basis[:, : k + 1].T @ v
+                matrix[: k + 1, k] += share
+                v -= basis[:, : k + 1] @ share
+            matrix[k + 1, k] = np.linalg.norm(v)
+            if matrix[k + 1, k] <= 1e-13 * scale:
+                return basis[:, : k + 1], matrix[: k + 1, : k + 1], 0.0
+            basis[:, k + 1] = v / matrix[k + 1, k]
+        return basis[:, :most], matrix[:most], float(matrix[most, most - 1])
+
+    @cached_property
+    def inside(self) -> tuple[tuple[Complex, ...], tuple[Complex, ...]]:
+        """The responses at the nodes, and at the end, of each element."""
+        step = (self.mesh.length / self.rotation).round(15).tolist()
+        known = {key: node_responses(self.mesh, self.modes.rate, key) for key in set(step)}
+        inner, last = zip(*(known[key] for key in step), strict=True)
+        return inner, last
 
     def response(self, force: Real) -> tuple[Complex, Real]:
         """Return the modal state at the start of each element and the displacement at the contacts under a force."""
         mesh, modes = self.mesh, self.modes
         step, idle = mesh.length / self.rotation, mesh.gap / self.rotation
         drive = [modes.participation @ self.summed(force, e) for e in range(step.size)]
-        known = {key: node_responses(mesh, modes.rate, key) for key in np.unique(step.round(15)).tolist()}
-        inner, last = zip(*(known[key] for key in step.round(15).tolist()), strict=True)
+        inner, last = self.inside
         z = np.zeros((step.size + 1, modes.rate.size), dtype=complex)
         for _ in range(2):
             for e, h in enumerate(step):
