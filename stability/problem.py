@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 from typing import Protocol
 
@@ -379,8 +380,12 @@ class Modes:
     def matrix(self, frequency: ArrayLike) -> Complex:
         """Return the compliance [m/N], shape (f, 3, 3), at frequencies [Hz] of either sign."""
         gain = 1.0 / (2j * np.pi * np.asarray(frequency, dtype=float)[:, None] - self.rate)
-        products = (self.shape[:, :, None] * self.participation).transpose(1, 0, 2).reshape(-1, 9)
-        return np.asarray((gain @ products).reshape(-1, 3, 3))
+        return np.asarray((gain @ self._products).reshape(-1, 3, 3))
+
+    @cached_property
+    def _products(self) -> Complex:
+        """What each coordinate gives to the nine entries, shape (N, 9)."""
+        return np.asarray((self.shape[:, :, None] * self.participation).transpose(1, 0, 2).reshape(-1, 9))
 
 
 def modes_of(machine: Machine) -> Modes:

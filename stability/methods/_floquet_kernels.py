@@ -420,16 +420,22 @@ def contact_loops(tooth, chip, force, regenerated, phi):
     size = tooth.size
     right = np.ascontiguousarray(force[:lines]).reshape(lines * moved, size)
     out = np.empty((count, size, size), dtype=np.complex128)
-    left = np.empty((size, lines * moved), dtype=np.complex128)
+    left = np.empty((lines * moved, size), dtype=np.complex128)
     for a in range(count):
         for q in range(lines):
-            for i in range(size):
-                for k in range(moved):
-                    total = 0.0j
-                    for f in range(felt):
-                        total += chip[q, i, f] * phi[a, q, f, k]
-                    left[i, q * moved + k] = total * regenerated[a, tooth[i], q]
-        out[a] = left @ right
+            for k in range(moved):
+                row = left[q * moved + k]
+                first = phi[a, q, 0, k]
+                for i in range(size):
+                    row[i] = chip[q, i, 0] * first
+                for f in range(1, felt):
+                    other = phi[a, q, f, k]
+                    if other != 0.0:
+                        for i in range(size):
+                            row[i] += chip[q, i, f] * other
+                for i in range(size):
+                    row[i] *= regenerated[a, tooth[i], q]
+        out[a] = left.T @ right
     return out
 
 

@@ -243,8 +243,8 @@ def approach(
         x, value, angle = x + moved[:size], value + complex(moved[size]), angle + step
         if not (fixed or 0.0 < angle < math.pi) or not 0.0 < abs(value) < math.inf:
             return None
-        # The error left is about the square of the last step.
-        if abs(moved[size]) <= 1e-6 * abs(value) and abs(step) <= 1e-6 and abs(value.imag) <= 1e-7 * abs(value):
+        # The error left is about the square of the last step, and 1e-4 of it: the slope is a difference.
+        if abs(moved[size]) <= 1e-4 * abs(value) and abs(step) <= 1e-4 and abs(value.imag) <= 1e-7 * abs(value):
             inside = fixed or RULES.close_to_end < angle < math.pi - RULES.close_to_end
             return (Crossing(angle, 1.0 / value.real), x) if inside and value.real > 0.0 else None
     return None
@@ -255,7 +255,7 @@ def is_unstable(signs: Callable[[Real], Complex], angles: Real) -> bool:
 
     The machine alone is stable, so that ``det(1 - depth M(theta))`` turns about zero as often as multipliers lie
     outside the unit circle. Over half the circle it turns by half of that, from one real value to another; steps of
-    more than `RULES.largest_turn` are halved.
+    more than `RULES.largest_turn` are cut in four.
 
     Parameters
     ----------
@@ -271,9 +271,10 @@ def is_unstable(signs: Callable[[Real], Complex], angles: Real) -> bool:
         wide = np.any(np.abs(turned) > RULES.largest_turn, axis=1) & (np.diff(angles) > RULES.smallest_interval)
         if not wide.any():
             return bool(np.any(np.round(turned.sum(axis=0) / math.pi) != 0.0))
-        place = np.flatnonzero(wide) + 1
-        middle = 0.5 * (angles[place - 1] + angles[place])
-        angles, at = np.insert(angles, place, middle), np.insert(at, place, signs(middle), axis=0)
+        place = np.repeat(np.flatnonzero(wide) + 1, 3)
+        share = np.tile([0.25, 0.5, 0.75], place.size // 3)
+        between = (1.0 - share) * angles[place - 1] + share * angles[place]
+        angles, at = np.insert(angles, place, between), np.insert(at, place, signs(between), axis=0)
 
 
 def relative_change(old: Crossing | None, new: Crossing | None) -> float:

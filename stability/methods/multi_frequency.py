@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 from typing import Any
 
@@ -69,6 +69,7 @@ from stability.problem import (
     NO_LOBE,
     Cut,
     Machine,
+    Modes,
     Pattern,
     Samples,
     check_spindle_speed,
@@ -95,6 +96,8 @@ class _Response:
         What the user must know about the data.
     lines : ndarray, optional
         Frequencies [Hz] of measured samples, between which the compliance bends; none of modes.
+    modes : Modes, optional
+        Of which the compliance is.
     """
 
     at: Callable[[Real], Complex]
@@ -102,6 +105,15 @@ class _Response:
     highest: float
     warnings: tuple[str, ...]
     lines: Real | None = None
+    modes: Modes | None = None
+
+    def between(self, frequency: Real, felt: NDArray[np.bool_], moved: NDArray[np.bool_]) -> Complex:
+        """Return the compliance of some directions of motion to some of force [m/N], (f, felt, moved)."""
+        if self.modes is None:
+            return np.ascontiguousarray(self.at(frequency)[:, felt][:, :, moved])
+        gain = 1.0 / (2j * math.pi * frequency[:, None] - self.modes.rate)
+        product = self.modes.shape[felt].T[:, :, None] * self.modes.participation[:, moved][:, None]
+        return np.asarray((gain @ product.reshape(gain.shape[1], -1)).reshape(-1, *product.shape[1:]))
 
     def step(self, frequency: Real) -> Real:
         """Return the spacing [Hz] of the samples about frequencies [Hz] of either sign; inf where there are none."""
@@ -191,7 +203,8 @@ def _require_reach(response: _Response, lines: _Lines, slowest: float) -> None:
 
 def _modal(machine: Machine) -> _Response:
     modes = modes_of(machine)
-    return _Response(modes.matrix, modes.rate, float(np.abs(modes.rate.imag).max()) / (2.0 * math.pi), ())
+    highest = float(np.abs(modes.rate.imag).max()) / (2.0 * math.pi)
+    return _Response(modes.matrix, modes.rate, highest, (), modes=modes)
 
 
 def _measured(compliance: xr.Dataset) -> _Response:
@@ -462,16 +475,15 @@ class _Truncated:
         top = self.count + 1 if low else self.count
         return np.asarray(angle / (2.0 * math.pi) + np.arange(-self.count, top))
 
-    def matrices(self, angles: Real, low: bool | None = None) -> tuple[Complex, Complex]:
-        """Return matrices with eigenvalues 1/depth [1/m] at angles that have lines alike, and the compliances there.
+    def matrices(self, angles: Real, low: bool | None = None) -> Complex:
+        """Return matrices with eigenvalues 1/depth [1/m] at angles that have lines alike.
 
         `low` says of which half of the circle the lines are, where the angles may lie on its end.
         """
         low = float(angles[0]) < 0.5 * math.pi if low is None else low
         turns = angles[:, None] / (2.0 * math.pi) + np.arange(-self.count, self.count + (1 if low else 0))
-        phi = self.response.at(turns.ravel() / self.duration)
-        kept = np.ascontiguousarray(phi[:, self.form.felt][:, :, self.form.moved])
-        return self.form.loop(self.lines.factors(turns), kept.reshape(*turns.shape, *kept.shape[1:])), phi
+        phi = self.response.between(turns.ravel() / self.duration, self.form.felt, self.form.moved)
+        return self.form.loop(self.lines.factors(turns), phi.reshape(*turns.shape, *phi.shape[1:]))
 
     @cached_property
     def poles(self) -> Complex:
@@ -509,7 +521,7 @@ class _Truncated:
         out: list[Any] = []
         for part in (angles[angles < 0.5 * math.pi], angles[angles >= 0.5 * math.pi]):
             for some in np.array_split(part, math.ceil(part.size / RULES.matrices_at_once)) if part.size else ():
-                out.extend(of(self.matrices(some)[0]))
+                out.extend(of(self.matrices(some)))
         return out
 
     def values(self, angles: Real) -> list[Complex]:
@@ -540,18 +552,18 @@ class _Truncated:
         """Return the crossing near an angle and a depth [m], of a vector like the one given; None: none there."""
         low = angle < 0.5 * math.pi
         if vector is None or vector.size != self.form.size(self.turns(angle).size):
-            matrix = self.matrices(np.array([angle]))[0][0]
+            matrix = self.matrices(np.array([angle]))[0]
             values, vectors = np.linalg.eig(matrix)
             at = int(np.argmin(np.abs(values - 1.0 / depth)))
             start, vector = complex(values[at]), vectors[:, at]
         else:
             start = 1.0 / depth + 0.0j
-        found = approach(lambda at: self.matrices(at, low)[0], angle, start, vector)
+        found = approach(lambda at: self.matrices(at, low), angle, start, vector)
         return None if found is None else _Vibration(*found)
 
     def vibration(self, crossing: Crossing) -> _Vibration:
         """Return a crossing with its vector."""
-        values, vectors = np.linalg.eig(self.matrices(np.array([crossing.angle]))[0][0])
+        values, vectors = np.linalg.eig(self.matrices(np.array([crossing.angle]))[0])
         vector = vectors[:, int(np.argmin(np.abs(values * crossing.depth - 1.0)))]
         return _Vibration(crossing, np.asarray(vector, dtype=complex))
 
@@ -581,6 +593,23 @@ class _Known:
     spindle_speed: float
     turns: float  # of the strongest line in a period, signed: how far the multiplier has gone round
     vectors: dict[int, Complex]  # by the harmonics
+    trend: tuple[float, float] = (0.0, 0.0)  # of the limit [m] and of turns times speed, a unit of speed
+
+    def at(self, spindle_speed: float) -> tuple[str, float, float]:
+        """Return kind, turns and depth [m] that are to be expected at another speed [rpm]."""
+        apart = spindle_speed - self.spindle_speed
+        turns = (self.turns * self.spindle_speed + self.trend[1] * apart) / spindle_speed
+        depth = 1e-3 * self.limit.limit_depth_mm
+        return self.limit.kind, turns, min(2.0 * depth, max(0.5 * depth, depth + self.trend[0] * apart))
+
+    def after(self, before: _Known) -> _Known:
+        """Return the same with the trend from a neighbouring speed that limits alike."""
+        apart, lines = self.spindle_speed - before.spindle_speed, round(self.turns) - round(before.turns)
+        if apart == 0.0 or lines != 0 or self.limit.kind != before.limit.kind:
+            return self
+        depth = 1e-3 * (self.limit.limit_depth_mm - before.limit.limit_depth_mm) / apart
+        around = (self.turns * self.spindle_speed - before.turns * before.spindle_speed) / apart
+        return replace(self, trend=(depth, around))
 
 
 def _limit(response: _Response, lines: _Lines, spindle_speed: float, tolerance: float) -> _Known:
@@ -765,8 +794,7 @@ class _AtSpeed:
 
     def followed(self) -> _Vibration | None:
         """Return the crossing of the neighbouring speed at this one, with the fewest harmonics."""
-        kind, turns = self.before.limit.kind, self.before.turns * self.before.spindle_speed / self.spindle_speed
-        return self.near(self.first, *_predicted(kind, turns, 1e-3 * self.before.limit.limit_depth_mm))
+        return self.near(self.first, *_predicted(*self.before.at(self.spindle_speed)))
 
     def settled(self, loop: _Truncated, at: _Vibration | None) -> tuple[_Truncated, _Known] | None:
         """Return a limit with harmonics added until it stands still, and the loop before the last; None: it does not.
@@ -840,6 +868,8 @@ def _all(response: _Response, lines: _Lines, speed: Real, tolerance: float) -> l
         n, found, other = float(speed[i]), None, True
         if known is not None:
             found, other = _tracked(_AtSpeed(response, lines, n, known, tolerance))
+        if found is not None and known is not None and not other:
+            found = found.after(known)
         known = _limit(response, lines, n, tolerance) if found is None else found
         limits[i], back = known.limit, known
         for j in reversed(order[:place] if other and math.isfinite(known.limit.limit_depth_mm) else []):
@@ -860,6 +890,7 @@ def _confirmed(loop: _Truncated, angles: Real, found: Crossing | None) -> bool:
 
 
 def _require_motion(loop: _Truncated) -> None:
-    matrix, phi = loop.matrices(np.array([0.5 * math.pi]))
+    middle = np.array([0.5 * math.pi])
+    matrix, phi = loop.matrices(middle), loop.response.at(loop.turns(middle[0]) / loop.duration)
     if np.abs(matrix).max(initial=0.0) <= 1e-12 * loop.form.largest * float(np.abs(phi).max()):
         raise InputError("the compliance is zero wherever the cut acts; there is nothing that could chatter")

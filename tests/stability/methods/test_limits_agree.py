@@ -142,7 +142,7 @@ def test_limits_of_a_noisy_record_do_not_depend_on_the_speeds_asked_beside_them(
     rng, size = np.random.default_rng(7), record["compliance"].shape
     noise = 0.025 * float(np.abs(record["compliance"]).max()) * rng.standard_normal((2, *size))
     record["compliance"] = record["compliance"] + noise[0] + 1j * noise[1]
-    asked, speeds = cut((90, 90, 90, 90)), np.linspace(3000.0, 9000.0, 9)
+    asked, speeds = cut((90, 90, 90, 90)), np.linspace(3000.0, 9000.0, 4)
     along = multi_frequency(record, *asked, speeds)["limit_depth"].values
     alone = [float(multi_frequency(record, *asked, [n])["limit_depth"].values[0]) for n in speeds]
     np.testing.assert_allclose(along, alone, rtol=1e-9)
