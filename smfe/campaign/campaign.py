@@ -779,7 +779,10 @@ def read_toml(file: Path, kind: str = "campaign") -> dict[str, object]:
     text = ""
     try:
         text = file.read_text(encoding="utf-8-sig")  # some editors begin a file with a mark
-        return tomllib.loads(text)
+        found = tomllib.loads(text)
+        if digits := max(_digits(found), default=0):
+            raise InputError(f"{file}: a whole number of {digits} digits; TOML has 19 at most")
+        return found
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror}){_nearest(file)}; name a {kind} file") from error
     except UnicodeDecodeError as error:
@@ -787,6 +790,20 @@ def read_toml(file: Path, kind: str = "campaign") -> dict[str, object]:
     except tomllib.TOMLDecodeError as error:
         line, advice = syntax_advice(text, error)
         raise InputError(f"{file}{'' if line is None else f', line {line}'}: {advice}") from error
+    except RecursionError as error:
+        raise InputError(f"{file}: lists or tables stand within one another too often; no {kind} needs that") from error
+    except InputError:
+        raise
+    except ValueError as error:  # a whole number of thousands of digits
+        raise InputError(f"{file}: cannot be read ({str(error).partition(';')[0]})") from error
+
+
+def _digits(value: object) -> Iterator[int]:
+    """Yield the digits of the whole numbers that have more than 64 bits."""
+    if isinstance(value, int) and value.bit_length() > 63:
+        yield len(str(value))
+    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from _digits(inner)
 
 
 def _nearest(file: Path) -> str:

@@ -123,6 +123,21 @@ def _ratio(value: Any) -> float:
 
 Ratio = Annotated[float, BeforeValidator(_ratio)]
 
+MOST_SCALE = 1e15
+"""Largest factor on the numbers of a channel, and one over the smallest: what lies beyond is no sensor's."""
+
+
+def _scale(value: Any) -> float:
+    scale = _ratio(value)
+    if not 1.0 / MOST_SCALE <= abs(scale) <= MOST_SCALE:
+        raise InputError(
+            f"{value!r} is the factor of no sensor; give one between {1.0 / MOST_SCALE:g} and {MOST_SCALE:g}"
+        )
+    return scale
+
+
+Scale = Annotated[float, BeforeValidator(_scale)]
+
 
 def _not_negative(value: Any) -> float:
     ratio = _ratio(value)
@@ -134,10 +149,19 @@ def _not_negative(value: Any) -> float:
 at_least_zero = BeforeValidator(_not_negative)
 
 
+LEAST_DAMPING = 1e-6
+"""Smallest damping ratio of a mode that is taken."""
+
+
 def _damping(value: Any) -> float:
     ratio = _ratio(value)
     if not 0.0 < ratio < 1.0:
         raise InputError(f"{value!r} is no damping ratio of a mode; write one above 0 and below 1, e.g. 0.02 or '2 %'")
+    if ratio < LEAST_DAMPING:
+        raise InputError(
+            f"{value!r} is the damping ratio of no structure: a steel bar in vacuum has more than {LEAST_DAMPING:g}, and "
+            "a peak that narrow has no limits that can be computed; measure it, or write 0.001"
+        )
     return ratio
 
 

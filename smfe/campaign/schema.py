@@ -126,7 +126,7 @@ class ChannelTable(Table):
     column: q.Column | None = None
     unit: StrictStr | None = None
     sign: q.Sign = 1.0
-    scale: q.Ratio = 1.0
+    scale: q.Scale = 1.0
     delay: q.Time = 0.0
     sample_rate: q.PositiveFrequency | None = None
     pulses_per_revolution: Annotated[float, Field(gt=0.0)] | None = None

@@ -491,6 +491,8 @@ ONE_FAULT = [
     ),
     ('"paper_bench_idle"', '"hammer_idle_K2"', "model[0].name: 'hammer_idle_K2' is already the name of measurement[0]"),
     ('"sweep_2mm_K2"', '"a/b"', "measurement[1].name: 'a/b' is no name; one line of text without '/'"),
+    ("sign = -1", "sign = -1, scale = 1e300", "channels.acceleration_x.scale: 1e+300 is the factor of no sensor; give"),
+    ("sign = -1", "sign = -1, scale = 0", "channels.acceleration_x.scale: 0 is the factor of no sensor; give one"),
     *(
         ('"sweep_2mm_K2"', f'"{name}"', "measurement[1].name: ")
         for name in ("a\\\\b", ".", "..", " . ", "a\\u0000b", "a\\u001b[2Jb", "a\\u202eb", "")
