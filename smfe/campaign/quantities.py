@@ -159,8 +159,8 @@ def _damping(value: Any) -> float:
         raise InputError(f"{value!r} is no damping ratio of a mode; write one above 0 and below 1, e.g. 0.02 or '2 %'")
     if ratio < LEAST_DAMPING:
         raise InputError(
-            f"{value!r} is the damping ratio of no structure: a steel bar in vacuum has more than {LEAST_DAMPING:g}, and "
-            "a peak that narrow has no limits that can be computed; measure it, or write 0.001"
+            f"{value!r} is the damping ratio of no structure: a steel bar in vacuum has more than {LEAST_DAMPING:g}; "
+            "a peak so narrow has no limits that can be computed; measure it, or write 0.001"
         )
     return ratio
 
