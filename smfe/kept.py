@@ -269,6 +269,16 @@ def _read(path: Path) -> dict[str, Any]:
     return found
 
 
+def read_kept(path: Path) -> dict[str, Any]:
+    """Return what `write_kept` wrote; nothing where there is none, or it is not as it was written."""
+    return {name: value for name, value in _read(path).items() if name != _CHECKSUM}
+
+
+def write_kept(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a file of JSON with its checksum."""
+    _write(path, content)
+
+
 def _write(path: Path, content: Mapping[str, Any]) -> None:
     with aside(path) as temporary:
         temporary.write_text(json.dumps({**content, _CHECKSUM: _sum(content)}), encoding="utf-8")

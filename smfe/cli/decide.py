@@ -44,13 +44,17 @@ def run(
     reports: Annotated[
         bool, typer.Option("--reports", help="Of many campaigns: write the report of each, too.")
     ] = False,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Scheduler of a dask cluster that does the work, tcp://host:8786.", show_default=False),
+    ] = None,
 ) -> Outcome:
     """Do all that a campaign asks for: data audit, compliances, lobes, verdicts, diagnosis, report."""
     from smfe.commands.many.folders import is_one
     from smfe.kept import is_unchanged
 
     if len(campaign) > 1 or not is_one(campaign[0]):
-        return _many(terminal, campaign, folder, fresh, jobs, reports)
+        return _many(terminal, campaign, folder, fresh, jobs, reports, scheduler)
     # Said before the numerics are imported, which takes longer than all the rest.
     if not fresh and is_unchanged(Path(campaign[0]), folder) and (folder / "report.html").is_file():
         terminal.note("nothing has changed since these results were written; --fresh computes them again")
@@ -58,18 +62,24 @@ def run(
     import smfe
 
     with terminal.bar() as progress:
-        report_file = smfe.run(campaign[0], folder, fresh, progress, terminal.show, None, jobs)
+        report_file = smfe.run(campaign[0], folder, fresh, progress, terminal.show, None, jobs, scheduler)
     return run_outcome(report_file)
 
 
 def _many(
-    terminal: Terminal, campaigns: list[str], folder: Path, fresh: bool, jobs: int | None, reports: bool
+    terminal: Terminal,
+    campaigns: list[str],
+    folder: Path,
+    fresh: bool,
+    jobs: int | None,
+    reports: bool,
+    scheduler: str | None,
 ) -> Outcome:
     """Run many campaigns and say what they came to, what failed at the end."""
     import smfe
 
     with terminal.bar() as progress:
-        batch = smfe.run(campaigns, folder, fresh, progress, None, reports, jobs)
+        batch = smfe.run(campaigns, folder, fresh, progress, None, reports, jobs, scheduler)
     states = list(batch.states.values())
     counts = {what: states.count(what) for what in ("done", "faults", "refused", "outside")}
     words = {"faults": "with parts that failed", "refused": "refused", "outside": "failed for reasons outside"}

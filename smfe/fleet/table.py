@@ -40,7 +40,7 @@ def write_catalogue(root: Path) -> Path:
     from pyarrow import parquet
 
     tables = []
-    for folder in sorted(path for path in root.iterdir() if (path / KEPT).is_dir()):
+    for folder in sorted(p for p in root.iterdir() if (p / KEPT).is_dir() and not p.name.startswith(".")):
         refused = folder / KEPT / REFUSED
         if refused.is_file():
             said = json.loads(refused.read_text(encoding="utf-8"))

@@ -51,7 +51,7 @@ method = "zero_order"
 cut = "down"
 width_of_cut = "40 mm"
 feed_per_tooth = "0.1 mm"
-spindle_speed = ["600 rpm", "1500 rpm", "{step} rpm"]
+spindle_speed = ["600 rpm", "1500 rpm", "{step:g} rpm"]
 """
 
 TEST = """[[cutting_test]]
@@ -108,7 +108,7 @@ def write_archive(
     hits: int = 3,
     tests: int = 2,
     seconds: float = 1.5,
-    step: int = 10,
+    step: float = 10,
 ) -> list[Path]:
     """Write campaigns, one folder each, ``MACHINE/DATE/campaign.toml``, and return their files."""
     out = []
@@ -126,7 +126,7 @@ def write_campaign(
     hits: int = 3,
     tests: int = 2,
     seconds: float = 1.5,
-    step: int = 10,
+    step: float = 10,
     lobes: int = 1,
 ) -> Path:
     """Write one campaign: measurements by name, cutting tests, lobes of the first `lobes` measurements."""

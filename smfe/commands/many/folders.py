@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from process.errors import InputError
+from smfe.commands.many.places import campaigns_at, is_address
 from smfe.kept import KEPT
 
 _LONGEST = 60
@@ -24,7 +25,7 @@ class Found:
     Parameters
     ----------
     address : str
-        Absolute path of the file.
+        Absolute path of the file, or an address that fsspec opens.
     name : str
         Of its folder of results: the last two words of the address that say something, and eight digits of its
         SHA-256. It depends on nothing else, so that another campaign beside it changes no name.
@@ -47,6 +48,8 @@ def is_one(named: object) -> bool:
     """Return whether an argument names one campaign: a file, or a campaign in memory; no folder, pattern or list."""
     if not isinstance(named, str | Path):
         return not isinstance(named, Iterable)
+    if is_address(named):
+        return False
     return Path(named).is_file() or not (Path(named).is_dir() or glob.has_magic(str(named)))
 
 
@@ -65,7 +68,14 @@ def find(named: Sequence[Path | str]) -> list[Found]:
         raise InputError("no campaign is named; name campaign files, folders that hold some, or patterns")
     found: dict[str, Found] = {}
     for given in named:
-        paths = list(_paths(given))
+        if isinstance(given, str) and is_address(given):
+            at = campaigns_at(given)
+            if not at:
+                raise InputError(f"'{given}': no campaign there; name campaign files (TOML), folders, or patterns")
+            for address in at:
+                found.setdefault(address, Found(address, name_of(address)))
+            continue
+        paths = list(_paths(str(given).removeprefix("file://")))
         if not paths:
             raise InputError(f"'{given}': no campaign there; name campaign files (TOML), folders, or patterns")
         for path in paths:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from contextlib import AbstractContextManager
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,14 +14,16 @@ from process.errors import InputError
 from smfe.campaign import Campaign
 from smfe.campaign.datasets import Show
 from smfe.commands.many.folders import Found, find, is_one
-from smfe.commands.many.tasks import Task, outcome_of, work
+from smfe.commands.many.places import is_address, is_same, unpack_into
+from smfe.commands.many.tasks import Task, outcome_of, seen, work
 from smfe.commands.run import run as run_one
 from smfe.fleet.rows import are_written
 from smfe.fleet.table import accept, refuse, write_catalogue
-from smfe.kept import forget, forget_record, is_unchanged
+from smfe.kept import KEPT, RECORD, forget, forget_record, is_unchanged, read_hashes, read_kept, write_record
 from smfe.progress import Progress, silent
 from smfe.results import Failure, Failures, check_target
 from smfe.staged import held
+from smfe.work.cluster import cluster
 from smfe.work.processes import cores, processes
 from smfe.work.tasks import FAULT, OUTSIDE, REFUSED, Outcome, Pool, carry_out, here
 
@@ -69,6 +72,7 @@ def run(
     licence: Show | None = None,
     draw: bool | None = None,
     jobs: int | None = None,
+    scheduler: str | None = None,
 ) -> Path: ...
 
 
@@ -81,6 +85,7 @@ def run(
     licence: Show | None = None,
     draw: bool | None = None,
     jobs: int | None = None,
+    scheduler: str | None = None,
 ) -> Batch: ...
 
 
@@ -92,6 +97,7 @@ def run(
     licence: Show | None = None,
     draw: bool | None = None,
     jobs: int | None = None,
+    scheduler: str | None = None,
 ) -> Path | Batch:
     """Do everything that a campaign asks for and write the results; of several, each in a folder of its own.
 
@@ -123,6 +129,8 @@ def run(
         later).
     jobs : int, optional
         Processes; default: of one campaign one, of several as many as there are cores.
+    scheduler : str, optional
+        Address of the scheduler of a cluster of dask.distributed that does the same tasks, "tcp://host:8786".
 
     Returns
     -------
@@ -148,27 +156,39 @@ def run(
     if is_one(campaign):
         assert not isinstance(campaign, Sequence) or isinstance(campaign, str)
         ahead = None
-        if isinstance(campaign, Path | str) and (jobs or 1) > 1:
-            ahead = partial(_ahead, Path(campaign).absolute(), Path(out).absolute(), jobs or 1)
+        if isinstance(campaign, Path | str) and ((jobs or 1) > 1 or scheduler is not None):
+            ahead = partial(_ahead, Path(campaign).absolute(), Path(out).absolute(), jobs or 2, scheduler)
         return run_one(campaign, out, fresh, progress, licence, draw is not False, ahead)
     assert not isinstance(campaign, Campaign)
     named = [campaign] if isinstance(campaign, Path | str) else list(campaign)
-    return run_many(find(named), Path(out).absolute(), fresh, bool(draw), progress, jobs)
+    return run_many(find(named), Path(out).absolute(), fresh, bool(draw), progress, jobs, scheduler)
 
 
 def run_many(
-    campaigns: Sequence[Found], root: Path, fresh: bool, draw: bool, progress: Progress, jobs: int | None
+    campaigns: Sequence[Found],
+    root: Path,
+    fresh: bool,
+    draw: bool,
+    progress: Progress,
+    jobs: int | None,
+    scheduler: str | None = None,
 ) -> Batch:
     """Run campaigns that were found; see `run`."""
     check_target(root / "catalogue.parquet")
     if (root / "provenance.json").exists():
         raise InputError(f"'{root}' holds the results of one campaign; name another folder for many with --out")
     with held(root):
-        return _run_held(campaigns, root, fresh, draw, progress, jobs)
+        return _run_held(campaigns, root, fresh, draw, progress, jobs, scheduler)
 
 
 def _run_held(
-    campaigns: Sequence[Found], root: Path, fresh: bool, draw: bool, progress: Progress, jobs: int | None
+    campaigns: Sequence[Found],
+    root: Path,
+    fresh: bool,
+    draw: bool,
+    progress: Progress,
+    jobs: int | None,
+    scheduler: str | None,
 ) -> Batch:
     outcomes: dict[str, Outcome] = {}
     todo = []
@@ -183,8 +203,15 @@ def _run_held(
             continue
         todo.append(one)
     unchanged = len(outcomes)
-    count = min(jobs or cores(), max(sum(len(_shares(one, root, 2)) + 1 for one in todo), 1))
-    _carry_out(todo, root, draw, progress, _pool(count), count, outcomes)
+    if todo and scheduler is not None:
+        with cluster(work, scheduler) as pool, _marked(root) as mark:
+            returned = not pool.everywhere(seen, mark)
+            how = partial(replace, draw=draw, mark="" if returned else mark, returned=returned)
+            _carry_out(todo, root, how, progress, pool, not returned, outcomes)
+    elif todo:
+        count = min(jobs or cores(), sum(len(_shares(one, root)) + 1 for one in todo))
+        with processes(work, count) if count > 1 else here(work) as pool:
+            _carry_out(todo, root, partial(replace, draw=draw), progress, pool, count > 1, outcomes)
     progress("campaigns: writing the catalogue", 99, 100)
     for one in campaigns:
         if _has_results(outcomes[one.name], root / one.name):
@@ -202,7 +229,9 @@ def _run_held(
 def _is_done(one: Found, folder: Path, draw: bool) -> bool:
     """Return whether a folder holds all that a run of the campaign would write, as it would be now."""
     drawn = not draw or (folder / "report.html").is_file()
-    return drawn and is_unchanged(Path(one.address), folder) and are_written(folder)
+    if not drawn or not are_written(folder):
+        return False
+    return is_same(folder, one.address) if is_address(one.address) else is_unchanged(Path(one.address), folder)
 
 
 def _has_results(outcome: Outcome, folder: Path) -> bool:
@@ -212,16 +241,16 @@ def _has_results(outcome: Outcome, folder: Path) -> bool:
 def _carry_out(
     todo: Sequence[Found],
     root: Path,
-    draw: bool,
+    how: Callable[[Task], Task],
     progress: Progress,
-    pool: AbstractContextManager[Pool[Task]],
-    count: int,
+    pool: Pool[Task],
+    shared: bool,
     outcomes: dict[str, Outcome],
 ) -> None:
     """Carry out the tasks of campaigns: the shares of large ones first, and what is left when their shares are done."""
     by_folder = {str(root / one.name): one for one in todo}
-    shares = {str(root / one.name): _shares(one, root, count) for one in todo}
-    last = {folder: Task(one.address, folder, draw=draw) for folder, one in by_folder.items()}
+    shares = {str(root / one.name): [how(task) for task in _shares(one, root)] if shared else [] for one in todo}
+    last = {folder: how(Task(one.address, folder)) for folder, one in by_folder.items()}
     left = {folder: len(tasks) for folder, tasks in shares.items()}
     weights = {folder: 1.0 + one.measurements + 0.4 * one.tests for folder, one in by_folder.items()}
     whole, so_far, finished = sum(weights.values()), 0.0, 0
@@ -235,32 +264,48 @@ def _carry_out(
             left[task.folder] -= 1
             so_far += 0.8 * weight / number
         else:
-            outcomes[by_folder[task.folder].name] = outcome
+            if outcome.packed:
+                take(Path(task.folder), outcome.packed)
+            outcomes[by_folder[task.folder].name] = replace(outcome, packed=b"")
             finished += 1
             so_far += weight * (0.2 if number else 1.0)
         what = f"campaigns: {finished} of {len(todo)} done, {by_folder[task.folder].name}"
         progress(what, 200 + round(9700 * so_far / whole), 10_000)
         return [last[task.folder]] if task.share is not None and not left[task.folder] else []
 
-    if first:
-        with pool as carrying:
-            carry_out(carrying, first, then)
+    carry_out(pool, first, then)
 
 
-def _shares(one: Found, root: Path, count: int) -> list[Task]:
+def take(folder: Path, content: bytes) -> None:
+    """Put results that a worker returned in their place, and write down that they are as they were written."""
+    unpack_into(folder, content)
+    record = read_kept(folder / KEPT / RECORD)
+    if record:
+        read_hashes(folder / KEPT)
+        write_record(folder, {name: record[name] for name in ("campaign", "files", "patterns", "data")})
+
+
+@contextmanager
+def _marked(root: Path) -> Iterator[str]:
+    """Put a mark into the folder of the results, by which a worker knows that it sees the same folder."""
+    mark = root / KEPT / f"mark-{uuid.uuid4().hex}"
+    mark.touch()
+    try:
+        yield str(mark)
+    finally:
+        mark.unlink(missing_ok=True)
+
+
+def _shares(one: Found, root: Path) -> list[Task]:
     """Return the shares of a campaign; none where one process does it all."""
     of = -(-one.size // SHARE)
-    return [Task(one.address, str(root / one.name), (i, of)) for i in range(of)] if count > 1 and of > 1 else []
+    return [Task(one.address, str(root / one.name), (i, of)) for i in range(of)] if of > 1 else []
 
 
-def _pool(count: int) -> AbstractContextManager[Pool[Task]]:
-    return processes(work, count) if count > 1 else here(work)
-
-
-def _ahead(campaign: Path, folder: Path, jobs: int, progress: Progress) -> None:
+def _ahead(campaign: Path, folder: Path, jobs: int, scheduler: str | None, progress: Progress) -> None:
     """Keep the measurements and cutting tests of one campaign, whose run then reads them back."""
     (one,) = find([campaign])
-    tasks = [replace(task, folder=str(folder)) for task in _shares(one, folder, jobs)]
+    tasks = [replace(task, folder=str(folder)) for task in _shares(one, folder)]
     done = 0
 
     def then(_task: Task, _outcome: Outcome) -> Iterable[Task]:
@@ -269,6 +314,11 @@ def _ahead(campaign: Path, folder: Path, jobs: int, progress: Progress) -> None:
         progress(f"checking share {done} of {len(tasks)}", done, len(tasks))
         return ()
 
-    if tasks:
+    if tasks and scheduler is not None:
+        with cluster(work, scheduler) as pool, _marked(folder) as mark:
+            if not pool.everywhere(seen, mark):
+                raise InputError(f"the workers do not see '{folder}'; name a folder with --out that all see")
+            carry_out(pool, [replace(task, mark=mark) for task in tasks], then)
+    elif tasks:
         with processes(work, min(jobs, len(tasks))) as pool:
             carry_out(pool, tasks, then)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import tempfile
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
 from process.errors import InputError
 from smfe.campaign import Campaign, load_campaign
+from smfe.commands.many.places import fetched, is_address, keep_source, packed
 from smfe.commands.run import run
 from smfe.diagnosis.audit import Audit, audit_measurement, audit_test
 from smfe.fleet.rows import write_rows
@@ -37,24 +39,54 @@ class Task:
         Which of how many shares of its measurements and cutting tests is done and kept; None: all the rest.
     draw : bool
         Whether the report and its pictures are written.
+    mark : str
+        File that `seen` must find: a process that does not see it must not write where it believes the results to be.
+    returned : bool
+        Whether the results are returned instead, because not every worker sees where they belong.
     """
 
     campaign: str
     folder: str
     share: Share | None = None
     draw: bool = field(default=False, kw_only=True)
+    mark: str = field(default="", kw_only=True)
+    returned: bool = field(default=False, kw_only=True)
+
+
+def seen(mark: str) -> bool:
+    """Return whether this process sees the folder of the results, by a mark that was put there."""
+    return Path(mark).is_file()
 
 
 def work(task: Task) -> Outcome:
     """Carry out a task; whatever goes wrong is its outcome."""
-    campaign, folder = Path(task.campaign), Path(task.folder)
+    folder = Path(task.folder)
+    if task.mark and not seen(task.mark):
+        return Outcome(OUTSIDE, (f"a worker does not see '{folder.parent}', where the results belong",))
+    if not task.returned:
+        return _work(task, folder)
+    with tempfile.TemporaryDirectory(prefix="smfe-") as place:
+        own = Path(place, folder.name)
+        outcome = _work(task, own)
+        written = (own / "provenance.json").is_file()
+        return replace(outcome, packed=packed(own)) if written else outcome
+
+
+def _work(task: Task, folder: Path) -> Outcome:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SmfeWarning)  # they stand in the results, and so in the catalogue
-            if task.share is not None:
+            if is_address(task.campaign):
+                with fetched(task.campaign) as (local, source):
+                    # Its place is another each time, and so are the results of another campaign to it.
+                    run(local, folder, draw=task.draw, fresh=True)
+                keep_source(folder, source)
+            elif task.share is not None:
+                campaign = Path(task.campaign)
                 keep_share(_loaded(campaign, state(campaign)), folder / KEPT, task.share)
                 return Outcome(DONE)
-            run(campaign, folder, draw=task.draw)
+            else:
+                run(Path(task.campaign), folder, draw=task.draw)
             write_rows(folder)
     except InputError as error:
         return Outcome(OUTSIDE if is_outside(error) else REFUSED, (str(error),))
