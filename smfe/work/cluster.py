@@ -52,9 +52,9 @@ class Cluster(Generic[T]):
         """Wait until tasks end and return them; one whose workers were ended again and again with `LOST`."""
         import distributed
 
-        wait: Any = distributed.wait
-        with self.client.as_current():  # `wait` asks the client of the context
-            wait([future for future, _ in self._flying.values()], return_when="FIRST_COMPLETED")
+        # `distributed.wait` would ask a global client, and every dask in this process with it.
+        ended: Any = distributed.as_completed
+        next(ended([future for future, _ in self._flying.values()], loop=self.client.loop))
         finished = [key for key, (future, _) in self._flying.items() if future.done()]
         return [(begun, _outcome(future)) for future, begun in (self._flying.pop(key) for key in finished)]
 
