@@ -273,7 +273,7 @@ def unpack(content: Mapping[str, object]) -> Failures:
     if not isinstance(rows, list):
         return []
     return [
-        Failure(*(str(r.get(k, "")) for k in ("part", "name", "reason")), bool(r.get("outside")))
+        Failure(str(r.get("part", "")), str(r.get("name", "")), str(r.get("reason", "")), bool(r.get("outside")))
         for r in rows
         if isinstance(r, dict)
     ]

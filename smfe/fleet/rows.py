@@ -160,14 +160,17 @@ def _limits(path: Path) -> Iterator[Row]:
     for row in _csv(path):
         found.setdefault((row["lobes"], row["source"]), []).append(row)
     for (lobes, source), rows in found.items():
-        depths = [_number(row["limit_depth_mm"]) for row in rows]
-        known = [i for i, depth in enumerate(depths) if depth is not None]
+        known = [(depth, row) for row in rows if (depth := _number(row["limit_depth_mm"])) is not None]
         for at, choose in (("lowest", min), ("highest", max)):
             if known:
-                row = rows[choose(known, key=lambda i: depths[i])]
+                _, row = choose(known, key=_depth)
                 numbers = {name: _number(row.get(name, "")) for name in _LIMIT}
                 said = {"measurement": source, "method": row.get("method"), "lobes": lobes, "at": at}
                 yield {"kind": "limit", **said, **numbers}
+
+
+def _depth(of: tuple[float, dict[str, str]]) -> float:
+    return of[0]
 
 
 def _recommended(path: Path) -> Iterator[Row]:

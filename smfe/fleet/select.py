@@ -93,10 +93,8 @@ def _holds(rows: pd.DataFrame, text: str) -> pd.Series[bool]:
                 given = date.fromisoformat(given)
             except ValueError:
                 raise InputError(f"'{text}': write a date as 2025-01-31") from None
-    known = column.notna()
-    out = pd.Series(False, rows.index)
-    out[known] = [bool(compare(entry, given)) for entry in column[known]]
-    return out
+    holds = [bool(known and compare(entry, given)) for known, entry in zip(column.notna(), column, strict=True)]
+    return pd.Series(holds, rows.index, dtype=bool)
 
 
 def _meant(name: str, known: Sequence[str]) -> str:

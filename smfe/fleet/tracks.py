@@ -70,7 +70,7 @@ class Mode:
     def years(self) -> Real:
         """Years since the first dated measurement; NaN where the date is not known."""
         days = pd.to_datetime(self.rows["date"])
-        return ((days - days.min()).dt.days / YEAR).to_numpy(float)
+        return np.asarray((days - days.min()).dt.days / YEAR, float)
 
 
 P = TypeVar("P")
