@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -32,6 +32,8 @@ class Channels:
     position: Real
     force: Real
     reference: Real | None
+    kept: dict[tuple[float, ...], Band] = field(default_factory=dict, repr=False, compare=False)
+    """Motion and balance in the bands that were asked for before."""
 
     @classmethod
     def read(cls, record: xr.Dataset, axis: str) -> Channels:
@@ -163,6 +165,47 @@ def late(samples: Real, step: float, delay: float) -> Real:
     return np.asarray(np.interp(time - delay, time, samples))
 
 
+@dataclass(frozen=True)
+class Band:
+    """What all balances of a record in one band have in common; `columns` (n, k) are those of the reference."""
+
+    filter: Resampler
+    motion: Motion
+    acting: Real
+    runs: Sequence[Sequence[tuple[int, int]]]
+    force: Real
+    columns: Real
+
+    def seen(self, samples: Real) -> Real:
+        """Pass a signal of the motion through the filter, zero where the axis stands."""
+        return _seen(self.filter, self.runs, np.where(self.motion.standing, 0.0, samples))
+
+
+def _band_of(raw: Channels, cutoff: float, delay: float) -> Band:
+    """Return what is common to all balances of a record in a band [Hz]; made once."""
+    found = raw.kept.get((cutoff, delay))
+    if found is not None:
+        return found
+    every = int(0.5 / (cutoff * raw.step) * (1.0 + 1e-9))
+    if every < 2:
+        raise InputError(
+            f"a band of {cutoff:g} Hz of a record at {1.0 / raw.step:g} Hz; the encoder is differentiated up to twice "
+            "the band, so that the rate must be at least four times the band: lower the cutoff"
+        )
+    filter_ = Resampler(raw.step, cutoff, every, math.ceil(2.0 * RULES.longest_delay / raw.step))
+    moving = motion(raw.position, raw.step, 2.0 * cutoff)
+    spans = spans_of(moving, filter_)
+    runs = [list(run) for run in _without_gaps(spans)]
+    first, last = spans[0][0] - filter_.margin, spans[-1][1] + filter_.margin
+    acting = late(raw.force, raw.step, delay)
+    force = _seen(filter_, runs, raw.force, -delay) - _seen(filter_, runs, np.where(moving.standing, acting, 0.0))
+    columns = noise.reference(moving[first:last]) * ~moving.standing[first:last, None]
+    before = np.zeros(first)  # the reference takes its measures from what is used of the record
+    seen = np.stack([_seen(filter_, runs, np.concatenate([before, c])) for c in columns.T], axis=1)
+    raw.kept[cutoff, delay] = Band(filter_, moving, acting, runs, force, seen)
+    return raw.kept[cutoff, delay]
+
+
 def balance_of(
     raw: Channels,
     cutoff: float,
@@ -177,31 +220,15 @@ def balance_of(
     and frequency of waves that the reference has; `delay` [s] is that from the logged to the acting force. Where the
     axis stands both sides are zero: there the drive holds whatever friction there is.
     """
-    every = int(0.5 / (cutoff * raw.step) * (1.0 + 1e-9))
-    if every < 2:
-        raise InputError(
-            f"a band of {cutoff:g} Hz of a record at {1.0 / raw.step:g} Hz; the encoder is differentiated up to twice "
-            "the band, so that the rate must be at least four times the band: lower the cutoff"
-        )
-    filter_ = Resampler(raw.step, cutoff, every, math.ceil(2.0 * RULES.longest_delay / raw.step))
-    moving = motion(raw.position, raw.step, 2.0 * cutoff)
-    spans = spans_of(moving, filter_)
-    runs = [list(run) for run in _without_gaps(spans)]
-    first, last = spans[0][0] - filter_.margin, spans[-1][1] + filter_.margin
-    acting = late(raw.force, raw.step, delay)
-    columns = list(noise.reference(moving[first:last]).T)
-    if limit is not None:
-        columns.append(excess(acting[first:last], limit))
-    for phase, period in ((moving.position[first:last], lead), (moving.time[first:last], line and 1.0 / line)):
+    band = _band_of(raw, cutoff, delay)
+    more = [] if limit is None else [band.seen(excess(band.acting, limit))]
+    for phase, period in ((band.motion.position, lead), (band.motion.time, line and 1.0 / line)):
         if period:
-            columns += [np.cos(2.0 * math.pi * phase / period), np.sin(2.0 * math.pi * phase / period)]
-    before = np.zeros(first)  # the reference takes its measures from what is used of the record
-    rests = moving.standing
-    force = _seen(filter_, runs, raw.force, -delay) - _seen(filter_, runs, np.where(rests, acting, 0.0))
-    moves_ = ~rests[first:last]
-    regressors = np.stack([_seen(filter_, runs, np.concatenate([before, c * moves_])) for c in columns], axis=1)
-    _refuse_too_few(regressors, filter_)
-    return Balance(filter_, moving, acting, runs, force, noise.residual(regressors, force), regressors)
+            more += [band.seen(wave(2.0 * math.pi * phase / period)) for wave in (np.cos, np.sin)]
+    regressors = np.column_stack([band.columns, *more])
+    _refuse_too_few(regressors, band.filter)
+    left = noise.residual(regressors, band.force)
+    return Balance(band.filter, band.motion, band.acting, band.runs, band.force, left, regressors)
 
 
 def _refuse_too_few(regressors: Real, filter_: Resampler) -> None:
@@ -255,20 +282,34 @@ def settings_of(moving: Motion, begin: int, end: int) -> Mapping[str, float | st
 def lost_beyond(raw: Channels, balance: Balance) -> float | None:
     """Return the limit beyond which drive force that is lost explains most; None where noise explains as much.
 
-    Limits from 95 to 10 % of the largest drive force are tried, which is paid for. Where less than half is lost nothing
-    is cut off: some other force bends with the load.
+    The acceleration is what is explained, by the force up to a limit and what the reference has besides: the noise is
+    in the force, and a force that is cut off lower would always leave less of it. Limits from 95 % of the largest force
+    to its median while the axis moves are tried, which is paid for. Where less than half is lost nothing is cut off:
+    some other force bends with the load.
     """
-    whitener = noise.fit_whitener([balance.left])
+    acceleration, others = balance.regressors[:, 0], np.delete(balance.regressors, [0, 2], axis=1)  # without snap
+    size = np.abs(balance.acting)
+    limits = np.geomspace(
+        0.95 * size.max(), max(float(np.median(size[~balance.motion.standing])), 0.01 * size.max()), 80
+    )
+    below = np.stack([balance.moved(np.clip(balance.acting, -x, x)) for x in limits], axis=1)
+    force = balance.moved(balance.acting)
+    columns = np.column_stack([acceleration, force, below])
+    scale = np.sqrt(np.mean(np.square(others), axis=0))
+    scale[scale == 0.0] = 1.0
+    columns -= (others / scale) @ np.linalg.lstsq(others / scale, columns, rcond=1e-10)[0]
+    a, f = columns[:, 0], columns[:, 1]
+    whitener = noise.fit_whitener([a - f * float(a @ f) / max(float(f @ f), 1e-300)])
     used = noise.unbroken(balance.sizes, whitener.order)
-    white = whitener(balance.left) * used
-    limits = np.arange(0.95, 0.095, -0.01) * float(np.max(np.abs(raw.force)))
-    columns = np.stack([balance.moved(excess(balance.acting, limit)) for limit in limits], axis=1)
-    columns -= balance.regressors @ np.linalg.lstsq(balance.regressors, columns, rcond=1e-10)[0]
-    shapes = np.stack([whitener(c) * used for c in columns.T], axis=1)
-    product, square = white @ shapes, np.sum(np.square(shapes), axis=0)
-    spread = 1.4826 * float(np.median(np.abs(white[used > 0.0])))
-    share = product / np.maximum(square, 1e-300)
-    gain = np.where(share > RULES.cut_off, share * product / spread**2, 0.0)
+    a, f, *each = (whitener(x) * used for x in columns.T)
+    whole = float(a @ a) - float(a @ f) ** 2 / float(f @ f)
+    gain = np.zeros(limits.size)
+    for k, c in enumerate(each):
+        both = np.stack([c, f - c], axis=1)
+        (inner, outer), *_ = np.linalg.lstsq(both, a, rcond=1e-10)
+        left = float(a @ a) - float(a @ c) ** 2 / max(float(c @ c), 1e-300)
+        if inner > 0.0 and outer < (1.0 - RULES.cut_off) * inner and left < whole:
+            gain[k] = float(np.sum(used)) * math.log(whole / max(left, 1e-300))
     best = int(np.argmax(gain))
     return float(limits[best]) if gain[best] > 2.0 * math.log(limits.size / INFERENCE.false_alarm) else None
 
@@ -314,6 +355,11 @@ def _wave(
             if again is not None and again[1] < RULES.certain:
                 return again[0]
     return None if found is None or found[1] >= INFERENCE.false_alarm else found[0]
+
+
+def usable_band(balance: Balance, above: float = RULES.above_noise) -> float:
+    """Return the frequency [Hz] up to which the force stands `above` what the reference leaves, in power."""
+    return noise.usable_band(balance.force, balance.left, balance.interval, balance.filter.cutoff, balance.sizes, above)
 
 
 def whitener_of(balance: Balance) -> Whitener:

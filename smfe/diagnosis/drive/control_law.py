@@ -113,10 +113,12 @@ def _solved(columns: Real, force: Real, scale: Real, rest: NDArray[np.int64], ga
     given = -gains.velocity * scale[1] * columns[:, 1]
     others = unit[:, : np.count_nonzero(known[: order.size - RULES.taps])]
     fixed = others.T @ (gains.velocity * gains.position * scale[0] * columns[:, 0] if not rest.size else wanted - given)
+    some = slice(None, None, max(wanted.size // RULES.values_absolute, 1))
+    few, asked = others[some], (wanted - given)[some]
     for _ in range(RULES.absolute if rest.size else 0):
-        left = wanted - given - others @ fixed
+        left = asked - few @ fixed
         weight = 1.0 / np.maximum(np.abs(left), max(0.1 * _spread(left), floor))
-        before, fixed = fixed, np.linalg.solve((others.T * weight) @ others, others.T @ (weight * (wanted - given)))
+        before, fixed = fixed, np.linalg.solve((few.T * weight) @ few, few.T @ (weight * asked))
         if np.linalg.norm(fixed - before) < 1e-9 * np.linalg.norm(fixed):
             break
     solution = unit.T @ (given + others @ fixed)
@@ -126,7 +128,9 @@ def _solved(columns: Real, force: Real, scale: Real, rest: NDArray[np.int64], ga
         last, kept = kept, np.abs(left) <= RULES.trim * max(_spread(left), floor)
         if np.array_equal(last, kept):
             break
-        solution = np.linalg.lstsq(unit[kept], wanted[kept], rcond=1e-12)[0]
+        # All but a few rows of an orthonormal basis: its products are as well conditioned as it is.
+        own = unit[kept]
+        solution = np.linalg.lstsq(own.T @ own, own.T @ wanted[kept], rcond=1e-12)[0]
     whole = np.zeros(scale.size)
     whole[order[known]] = np.linalg.solve(triangle[np.ix_(known, known)], solution) / scale[order[known]]
     return whole, wanted - unit @ solution
@@ -172,6 +176,24 @@ def unlogged_command(
         if b - a >= RULES.shortest_pulse
     )
     return left, pulses
+
+
+def without_line(reference: Real, position: Real, force: Real, step: float, frequency: float | None) -> Real:
+    """Return a drive force [N] without the tone of a frequency [Hz] that no control law gives, shape (n,).
+
+    Least squares of the columns of a law and of a tone whose amplitude and phase may change linearly, as they seem to
+    where the frequency is a little off.
+    """
+    if frequency is None:
+        return force
+    angle = 2.0 * math.pi * frequency * step * np.arange(force.size)
+    slow = np.linspace(-1.0, 1.0, force.size)
+    tone = np.stack([f(angle) * x for f in (np.cos, np.sin) for x in (np.ones_like(slow), slow)], axis=1)
+    columns = np.column_stack([tone, _columns(reference, position, step)])
+    size = np.sqrt(np.mean(np.square(columns), axis=0))
+    size[size == 0.0] = 1.0
+    found = np.linalg.lstsq(columns / size, force, rcond=1e-10)[0]
+    return np.asarray(force - (tone / size[:4]) @ found[:4])
 
 
 def _spread(values: Real) -> float:

@@ -68,17 +68,17 @@ def fit_whitener(residuals: Sequence[Real], regressors: Real | None = None) -> W
     drawn from the autoregression and projected off them; the covariances are moved until those of the draws are the
     ones observed.
     """
-    kept = _kept(residuals)
-    observed, values = _covariances(residuals, kept), _values(residuals, kept)
+    kept, sizes = _kept(residuals), [r.size for r in residuals]
+    observed, values = _covariances(np.concatenate(residuals), sizes, kept), _values(residuals, kept)
     found = _autoregression(observed, values)
     if regressors is None:
         return found
-    basis, sizes = _orthonormal(regressors), [r.size for r in residuals]
+    basis = _orthonormal(regressors)
     white = np.random.default_rng(0).standard_normal((RULES.drawn, RULES.settles + sum(sizes)))
     given = observed.copy()
     for _ in range(RULES.rounds):
         drawn = _projected(_coloured(found, white), basis)
-        given = given + observed - np.mean([_covariances(x, kept) for x in _split(drawn, sizes)], axis=0)
+        given = given + observed - np.mean(_covariances(drawn, sizes, kept), axis=0)
         better = _autoregression(given, values)
         if not better.stable:
             break
@@ -88,8 +88,8 @@ def fit_whitener(residuals: Sequence[Real], regressors: Real | None = None) -> W
 
 def without_memory(residuals: Sequence[Real]) -> Whitener:
     """Return the whitener of first order, which cannot have learned a wave."""
-    kept = _kept(residuals)
-    return _autoregression(_covariances(residuals, kept)[:2], _values(residuals, kept))
+    kept, sizes = _kept(residuals), [r.size for r in residuals]
+    return _autoregression(_covariances(np.concatenate(residuals), sizes, kept)[:2], _values(residuals, kept))
 
 
 def learned_again(
@@ -102,7 +102,7 @@ def learned_again(
     kept, basis, sizes = _kept(residuals), _orthonormal(regressors), [r.size for r in residuals]
     whole = _coloured(found, np.random.default_rng(1).standard_normal((draws, RULES.settles + sum(sizes))))
     left = _projected(whole.copy(), basis)
-    before, after = ([_covariances(x, kept) for x in _split(y, sizes)] for y in (whole, left))
+    before, after = (_covariances(y, sizes, kept) for y in (whole, left))
     taken = np.mean(before, axis=0) - np.mean(after, axis=0)
     for lags, moves in zip(after, _split(left, sizes), strict=True):
         yield _autoregression(lags + taken, _values(residuals, kept)), moves
@@ -146,13 +146,16 @@ def _values(residuals: Sequence[Real], kept: Sequence[bool]) -> int:
     return sum(r.size for r, good in zip(residuals, kept, strict=True) if good)
 
 
-def _covariances(residuals: Sequence[Real], kept: Sequence[bool]) -> Real:
-    """Autocovariances of the moves that are kept, to lag `DriveRules.order`."""
-    used = [r for r, good in zip(residuals, kept, strict=True) if good]
-    total = _values(residuals, kept)
-    return np.array(
-        [sum(float(r[k:] @ r[: r.size - k]) for r in used if r.size > k) / total for k in range(RULES.order + 1)]
-    )
+def _covariances(values: Real, sizes: Sequence[int], kept: Sequence[bool]) -> Real:
+    """Autocovariances to lag `DriveRules.order` of the moves that are kept, (..., order + 1), of records (..., n)."""
+    move = np.repeat(np.arange(len(sizes)), sizes)
+    good = np.asarray(kept)[move]
+    found = []
+    for k in range(RULES.order + 1):
+        first, last = values[..., : move.size - k], values[..., k:]
+        within = good[k:] & (move[k:] == move[: move.size - k])
+        found.append((first * last) @ within.astype(float))
+    return np.stack(found, axis=-1) / float(np.sum(good))
 
 
 def _autoregression(lags: Real, values: int) -> Whitener:
@@ -201,8 +204,10 @@ def residual(regressors: Real, response: Real) -> Real:
     return np.asarray(response - (regressors / scale) @ solution)
 
 
-def usable_band(force: Real, left: Real, step: float, highest: float, runs: Sequence[int]) -> float:
-    """Return the frequency [Hz] up to which the force stands 23 dB above what the reference leaves, at most `highest`.
+def usable_band(
+    force: Real, left: Real, step: float, highest: float, runs: Sequence[int], above: float = RULES.above_noise
+) -> float:
+    """Return the frequency [Hz] up to which the force stands `above` what the reference leaves, at most `highest`.
 
     Power densities with a resolution of 5 Hz, the mean over runs of values without a gap, each the median of three
     neighbours.
@@ -213,7 +218,7 @@ def usable_band(force: Real, left: Real, step: float, highest: float, runs: Sequ
         f, density = signal.welch(values, 1.0 / step, nperseg=size)
         total += values.shape[1] * density
     ratio = signal.medfilt(total[0] / np.maximum(total[1], 1e-300), 3)[1:-1]
-    low = np.flatnonzero(ratio < RULES.above_noise)
+    low = np.flatnonzero(ratio < above)
     return float(min(f[1:-1][low[0]] if low.size else highest, highest))
 
 
@@ -241,13 +246,32 @@ def strongest_wave(
     used = unbroken(runs or (left.size,), whitener.order)
     white = whitener(left) * used
     white = white / math.sqrt(float(np.sum(np.square(white)) / np.sum(used)))
-    power = np.concatenate(
-        [_powers(part, phase, white, whitener, used) for part in np.array_split(waves, waves.size // 200 + 1)]
-    )
+    waves = waves[np.argsort(-_roughly(waves, phase, white, whitener, used))[: RULES.hopeful]]
+    parts = np.array_split(waves, waves.size * phase.size // RULES.at_once + 1)
+    power = np.concatenate([_powers(part, phase, white, whitener, used) for part in parts])
     best = int(np.argmax(power))
     z = max(0.5 * float(power[best]), 1.0)
     width = (highest - lowest) * math.sqrt(4.0 * math.pi * float(np.var(phase)))
     return float(waves[best]), min(1.0, max(width * math.sqrt(z), 1.0) * math.exp(-z))
+
+
+def _roughly(waves: Real, phase: Real, white: Real, whitener: Whitener, used: Real) -> Real:
+    """Return about what `_powers` gives of evenly spaced waves, from one Fourier transform over bins of the phase.
+
+    Cosine and sine count as orthogonal and as large as the whitener makes a wave of their frequency at each value.
+    """
+    spacing, begin = float(waves[1] - waves[0]) if waves.size > 1 else 1.0, float(phase.min())
+    count = round(1.0 / (spacing * np.ptp(phase))) * math.ceil(RULES.bins * float(np.ptp(phase)) * float(waves[-1]))
+    width = 1.0 / (spacing * count)
+    place = np.rint((phase - begin) / width).astype(np.int64)
+    binned = np.bincount(place, weights=np.convolve(white, whitener.taps[::-1], mode="full"), minlength=count)
+    moment = np.interp(waves, spacing * np.arange(count // 2 + 1), np.abs(np.fft.rfft(binned, count)))
+    turns = np.sort(np.abs(np.diff(phase))[whitener.order - 1 :][used > 0.0])
+    response = np.zeros(waves.size)
+    for part in np.array_split(turns, RULES.speeds):
+        _, gain = signal.freqz(whitener.taps, 1.0, 2.0 * math.pi * np.mod(waves * np.mean(part), 1.0))
+        response += 0.5 * part.size * np.square(np.abs(gain))
+    return np.asarray(np.square(moment) / np.maximum(response, 1e-300))
 
 
 def _powers(waves: Real, phase: Real, white: Real, whitener: Whitener, used: Real) -> Real:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -39,9 +40,17 @@ from smfe.diagnosis.drive.balance import (
     periodic,
     settings_of,
     spans_of,
+    usable_band,
     whitener_of,
 )
-from smfe.diagnosis.drive.control_law import ControlLaw, Gains, Pulse, fit_control_law, unlogged_command
+from smfe.diagnosis.drive.control_law import (
+    ControlLaw,
+    Gains,
+    Pulse,
+    fit_control_law,
+    unlogged_command,
+    without_line,
+)
 from smfe.diagnosis.drive.filters import Motion, Resampler, motion
 from smfe.diagnosis.drive.noise import NoiseDraw, Whitener, noise_draws
 from smfe.diagnosis.drive.rules import RULES
@@ -59,6 +68,18 @@ class ForceData:
     drive: Real = field(repr=False)
     used: NDArray[np.bool_] = field(repr=False)
     """Whitened values that count: the axis moves in at least half of what the low-pass sees."""
+    track: Track | None = field(default=None, repr=False)
+    """What the move is part of, from its value number `first` on; None: it stands alone."""
+    first: int = 0
+
+
+@dataclass(frozen=True)
+class Track:
+    """All that is used of a record, with all margins: one prediction serves all of its moves."""
+
+    motion: Motion = field(repr=False)
+    drive: Real = field(repr=False)
+    kept: dict[tuple[float, ...], Real] = field(default_factory=dict, repr=False, compare=False)
 
 
 @dataclass(frozen=True)
@@ -88,12 +109,18 @@ class DriveModel:
     """Kind of move (direction, speed) -> its noise in units of the whitener's; `ANY`: of all moves together."""
     nuisances: tuple[Parameter, ...]  # of the baseline
     terms: tuple[Term, ...]  # forces that may be missing
-    mass_known: bool
-    """Whether the mass has a prior, without which a gain of the force channel is not separable from the mass."""
     peak: float  # largest drive force [N]
     limit: float | None = None  # drive force beyond which the axis seems to get less than was asked for [N]
     law: ControlLaw | None = None  # control law with its velocity filter
+    line: float | None = None  # frequency of a tone in the drive force [Hz]
     draws: tuple[NoiseDraw, ...] = ()  # noises that the record could as well have come from
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters that a force depends on."""
+        more = [saturation(self.peak, self.limit)] if self.limit is not None else []
+        causes = [*(t.cause for t in self.terms), *more]
+        return tuple(p.name for p in (*self.nuisances, *(p for c in causes for p in c.parameters)))
 
 
 @dataclass(frozen=True)
@@ -159,7 +186,8 @@ class DriveRecordFamily(Abilities):
             raise InputError(f"sample interval {raw.step:g} s, {like.model.resampler.step:g} s of the other record")
         else:
             shared = like.model
-        moving = motion(raw.position, raw.step, 2.0 * shared.resampler.cutoff)
+        known = (b.motion for (f, _), b in raw.kept.items() if f == shared.resampler.cutoff)
+        moving = next(known, None) or motion(raw.position, raw.step, 2.0 * shared.resampler.cutoff)
         conditions = list(_force_conditions(raw, moving, shared, name))
         pulses: tuple[Pulse, ...] = ()
         if shared.law is not None and raw.reference is not None:
@@ -169,7 +197,7 @@ class DriveRecordFamily(Abilities):
 
     @property
     def nuisances(self) -> tuple[Parameter, ...]:
-        """Mass, viscous friction, offset, delay and, where the mass is known, gain of the force channel."""
+        """Mass, viscous friction, offset, gain of the force channel, delay and gains of the control."""
         return self.model.nuisances
 
     @property
@@ -205,7 +233,7 @@ class DriveRecordFamily(Abilities):
     def predict(self, condition: Condition, values: Values) -> Real:
         """Return the whitened drive force of a move, or its whitened command after the control law."""
         if isinstance(condition.data, ForceData):
-            white = self.model.whitener(self.force(condition.data, values)) / condition.data.noise
+            white = self.model.whitener(self._low_passed(condition.data, values)) / condition.data.noise
             return np.asarray(white[condition.data.used])
         if isinstance(condition.data, _LawData):
             return values.get("hidden.command", 0.0) * condition.data.signs / condition.data.noise
@@ -265,8 +293,19 @@ class DriveRecordFamily(Abilities):
                 whole += float(np.sum(np.square(measured)))
         return math.sqrt(wrong / whole)
 
-    def force(self, data: ForceData, values: Values) -> Real:
-        """Return the low-passed drive force of a move [N]."""
+    def _low_passed(self, data: ForceData, values: Values) -> Real:
+        """Return the low-passed drive force of a move [N] as part of its record, of which the last few are kept."""
+        if data.track is None:
+            return self.force(data, values)
+        kept, key = data.track.kept, (id(self.model), *(values[n] for n in self.model.names))
+        if key not in kept:
+            if len(kept) >= RULES.kept_forces:
+                kept.clear()
+            kept[key] = self.force(data.track, values)
+        return kept[key][data.first : data.first + data.force.size]
+
+    def force(self, data: ForceData | Track, values: Values) -> Real:
+        """Return the low-passed drive force of a move, or of all that is used of a record [N]."""
         m = data.motion
         total = values["mass"] * m.acceleration + values["viscous"] * m.velocity + values["offset"]
         for term in self.model.terms:
@@ -294,30 +333,30 @@ def _learn(
     tolerances: Tolerances,
 ) -> DriveModel:
     """Find what the record itself has to say: band, noise, starts of the nuisances, wavelength of a ripple."""
+    known, above = lead is not None, RULES.above_noise
     if cutoff is None:
-        wide = balance_of(raw, RULES.widest / raw.step, None, delay=delay)
-        cut = lost_beyond(raw, wide)
-        wide = wide if cut is None else balance_of(raw, RULES.widest / raw.step, cut, delay=delay)
-        cutoff = noise.usable_band(wide.force, wide.left, wide.interval, wide.filter.cutoff, wide.sizes)
+        cutoff, above = _usable_band(raw, lead, delay, tolerances.material)
     limit = lost_beyond(raw, balance_of(raw, cutoff, None, delay=delay))
-    plain = balance_of(raw, cutoff, limit, delay=delay)
-    known, (lead, line) = lead is not None, periodic(raw, plain, limit, lead, delay)
+    lead, line = periodic(raw, balance_of(raw, cutoff, limit, delay=delay), limit, lead, delay)
     full = balance_of(raw, cutoff, limit, lead, line, delay)
     whitener = whitener_of(full)
     law = None
     if gains is not None and raw.reference is not None:
-        law = fit_control_law(raw.reference, raw.position, raw.force, raw.step, gains)
-    nuisances = (*_nuisances(full, mass, tolerances), _timing(cutoff, delay, tolerances))
+        given = without_line(raw.reference, raw.position, raw.force, raw.step, line)
+        law = fit_control_law(raw.reference, raw.position, given, raw.step, gains)
+    nuisances = (*_nuisances(full, mass, tolerances), _timing(cutoff, above, delay, tolerances))
     if law is not None and law.noise <= RULES.exact * float(np.std(raw.force)):
         within, said = tolerances.control_gain, "gain of the control over the one that was given"
         nuisances += tuple(
             Parameter(f"servo_gains.{n}", "%", 0.0, 0.01, -0.9, 9.0, within, 100.0, "servo_gains", said=f"{n} {said}")
             for n in ("position", "velocity")
         )
-    place = plain.seen(plain.motion.position)
+    place = full.seen(full.motion.position)
     centre, stroke = float(np.mean(place)), float(np.ptp(place))
-    fastest = float(np.max(np.abs(plain.seen(plain.motion.velocity))))
+    fastest = float(np.max(np.abs(full.seen(full.motion.velocity))))
     catalogue = [*terms.always(centre, stroke, nuisances[0].start, fastest)]
+    if above < RULES.above_noise:  # the noise would pass for flexibility
+        catalogue = [t for t in catalogue if t.cause.id != "missing_mode"]
     if lead is not None:
         catalogue.append(terms.ripple(lead, centre, known))
     if line is not None:
@@ -331,12 +370,36 @@ def _learn(
         noise=noise_of(full, whitener),
         nuisances=nuisances,
         terms=tuple(catalogue),
-        mass_known=mass is not None,
         peak=float(np.max(np.abs(raw.force))),
         limit=limit,
         law=law,
+        line=line,
         draws=noise_draws(whitener, full.moves, full.regressors, full.kinds),
     )
+
+
+def _usable_band(raw: Channels, lead: float | None, delay: float, material: float) -> tuple[float, float]:
+    """Return the band of the comparison [Hz], and how far the force stands above the noise at its end, in power.
+
+    A ripple and a tone that matter end the band no more than anything else that is explained. To reach a tone it may
+    end where the force stands 13 dB above the noise.
+    """
+    widest = RULES.widest / raw.step
+    limit = lost_beyond(raw, balance_of(raw, widest, None, delay=delay))
+    plain = balance_of(raw, widest, limit, delay=delay)
+    cutoff = usable_band(plain)
+    middle = min(RULES.beyond * cutoff, widest)
+    before = balance_of(raw, middle, limit, lead, delay=delay)
+    waves = periodic(raw, before, limit, lead, delay)
+    after = balance_of(raw, middle, limit, *waves, delay)
+    explained = float(np.mean(np.square(before.left)) - np.mean(np.square(after.left)))
+    if explained < (RULES.worth_a_band * material) ** 2 * float(np.mean(np.square(before.force))):
+        return cutoff, RULES.above_noise
+    cutoff = max(cutoff, usable_band(balance_of(raw, widest, limit, *waves, delay)))
+    reach = RULES.above_line * (waves[1] or 0.0)
+    if cutoff < reach <= usable_band(after, RULES.above_line_noise):
+        return reach, RULES.above_line_noise
+    return cutoff, RULES.above_noise
 
 
 def _nuisances(balance: Balance, mass: tuple[float, float] | None, tolerances: Tolerances) -> tuple[Parameter, ...]:
@@ -351,27 +414,24 @@ def _nuisances(balance: Balance, mass: tuple[float, float] | None, tolerances: T
         Parameter("viscous", "N s/m", viscous, max(0.01 * viscous, 1e-3 * heavy), low=0.0),
         Parameter("offset", "N", float(found[2]), 0.01 * float(np.sqrt(np.mean(np.square(force))))),
     )
-    if mass is None:
-        return Parameter("mass", "kg", heavy, 0.01 * heavy, low=0.0), *free
     known = Parameter("mass", "kg", heavy, 0.01 * heavy, low=0.0, prior=prior)
+    if mass is not None:
+        known = replace(known, given="declared_mass", said="moving mass", stated=False)
+    # Without a mass the record says nothing of the gain: all forces and the mass are known no better than it is.
     gain = Parameter("force_gain.error", "%", 0.0, 0.01, -0.5, 1.0, prior=tolerances.sensor_gain, shown=100.0)
-    return (
-        replace(known, given="declared_mass", said="moving mass", stated=False),
-        *free,
-        replace(gain, given="sensor_gain", said="gain of the force channel", stated=False),
-    )
+    return known, *free, replace(gain, given="sensor_gain", said="gain of the force channel", stated=False)
 
 
-def _timing(cutoff: float, delay: float, tolerances: Tolerances) -> Parameter:
+def _timing(cutoff: float, above: float, delay: float, tolerances: Tolerances) -> Parameter:
     """Return the delay from the logged to the acting force, known as a workshop knows it, and 4 us in a band of 33 Hz.
 
     The latter no record contains: the controller answers the disturbances that the balance takes for noise (bias of
     the direct method in closed loop, a share of the power of noise over that of the force; Forssell and Ljung,
-    Automatica 35, 1999). At the end of the band that share is one in `RULES.above_noise`, by which angle noise may turn
+    Automatica 35, 1999). At the end of the band that share is one in `above`, by which angle noise may turn
     the force. A sixth of it, one sigma, is taken for the loop, as linearisation at the truth showed for Coulomb
     friction at 1 kHz; at other rates and bands it is an extrapolation.
     """
-    off = math.hypot(RULES.closed_loop / (RULES.above_noise * 2.0 * math.pi * cutoff), tolerances.dead_time)
+    off = math.hypot(RULES.closed_loop / (above * 2.0 * math.pi * cutoff), tolerances.dead_time)
     said = "delay from the logged to the acting force"
     name, most = "loop_delay.delay", RULES.longest_delay
     return Parameter(name, "ms", delay, 1e-4, 0.0, most, prior=off, shown=1e3, given="loop_delay", said=said)
@@ -392,16 +452,24 @@ def _named(moving: Motion, shared: DriveModel, name: str) -> list[tuple[str, Map
 
 def _force_conditions(raw: Channels, moving: Motion, shared: DriveModel, name: str) -> Sequence[Condition]:
     filter_, order = shared.resampler, shared.whitener.order
-    before = filter_.margin + order * filter_.every
+    before, every = filter_.margin + order * filter_.every, filter_.every
+    named = _named(moving, shared, name)
+    origin = named[0][3] - before
+    whole = slice(origin, named[-1][4] + filter_.margin)
+    track = Track(moving[whole], raw.force[whole])
+    force, moves = filter_(track.drive), filter_(np.where(track.motion.standing, 0.0, 1.0))
     found = []
-    for text, settings, half, begin, end in _named(moving, shared, name):
-        part = slice(begin - before, end + filter_.margin)
-        force, own = filter_(raw.force[part]), moving[part]
-        used = filter_(np.where(own.standing, 0.0, 1.0))[order:] >= RULES.least_moving
+    for text, settings, half, begin, end in named:
+        first = -(-(begin - before - origin) // every)
+        start = origin + first * every
+        part = slice(start, end + filter_.margin)
+        count = (end - start - filter_.margin - 1) // every + 1
+        own = force[first : first + count]
+        used = moves[first + order : first + count] >= RULES.least_moving
         if np.count_nonzero(used) > order:
             noise_ = shared.noise.get(kind_of(settings), shared.noise[ANY])
-            data = ForceData(own, force, noise_, raw.force[part], used)
-            found.append(Condition(text, settings, (shared.whitener(force) / noise_)[used], half, data))
+            data = ForceData(moving[part], own, noise_, raw.force[part], used, track, first)
+            found.append(Condition(text, settings, (shared.whitener(own) / noise_)[used], half, data))
     return found
 
 
@@ -418,7 +486,8 @@ def _law_conditions(
 ) -> tuple[list[Condition], tuple[Pulse, ...]]:
     """Hold the record against the control law: its gains where it is exact, and pulses beside as much without any."""
     assert raw.reference is not None
-    left, pulses = unlogged_command(law, raw.reference, raw.position, raw.force, raw.step)
+    given = without_line(raw.reference, raw.position, raw.force, raw.step, shared.line)
+    left, pulses = unlogged_command(law, raw.reference, raw.position, given, raw.step)
     whole, found = float(np.std(raw.force)), list[Condition]()
     if any(p.given == "servo_gains" for p in shared.nuisances):
         gains = np.array([law.found.velocity / law.gains.velocity, law.found.position / law.gains.position])

@@ -24,6 +24,10 @@ class DriveRules:
     # band and filters
     widest: float = 0.1  # band in units of the sample rate
     above_noise: float = 200.0  # force over what the reference leaves, in power, where a record can be used
+    beyond: float = 2.5  # times the band up to which ripple and tone are looked for that may end it
+    worth_a_band: float = 0.5  # share of what is material, from which they widen it
+    above_line: float = 1.25  # frequency over that of a tone which the low-pass must pass
+    above_line_noise: float = 20.0  # as `above_noise`, where that is needed to reach a tone
     resolution: float = 5.0  # of power densities [Hz]
     wide: float = 0.2  # of the sample rate: band in which reversals are looked for
     trembles: float = 4.0  # standard deviations of the encoder noise that are no reversal
@@ -45,8 +49,16 @@ class DriveRules:
     fades: int = 200  # values before the first by which the noise has forgotten how it began
     values_each: int = 10  # fewest values for each regressor of the reference
     like_all: float = 10.0  # values for which the noise of a kind of move is held to be that of all
+    kept_forces: int = 8  # of a record
     # what stands out
     cut_off: float = 0.5  # least share of the force beyond a limit that must be lost
+    limits: int = 80  # that are tried
+    least_limit: float = 0.01  # of the largest force
+    lowest_limit: float = 0.8  # times the limit that was found: the lowest that is fitted
+    bins: int = 16  # of the phase in the shortest wave
+    speeds: int = 64  # groups of values that are as fast
+    at_once: int = 2_000_000  # values of waves in memory
+    hopeful: int = 200  # waves that are looked at more closely
     certain: float = 1e-8  # p-value of a wave with a whitener that was learned without it
     lowest_tone: float = 3.0  # [Hz]; the moves are slower
     stands_out: float = 5.5  # standard deviations of a force that lasts a moment
@@ -56,6 +68,7 @@ class DriveRules:
     integral: int = 3  # columns of an integral part: integral, reference, constant
     better: float = 1.2  # times what the best law leaves, up to which a simpler one is taken
     absolute: int = 60  # rounds of least absolute values
+    values_absolute: int = 20_000  # values that are enough for them, evenly spaced
     trim: float = 6.0  # standard deviations beyond which a value does not count
     detect: float = 10.0  # standard deviations of a command that was not logged
     pulse_share: float = 0.02  # of the highest pulse, from which others count

@@ -190,8 +190,11 @@ def excess(drive: Real, limit: float) -> Real:
 
 
 def saturation(peak: float, limit: float) -> Cause:
-    """Return the cause that drive force beyond a limit never acts: what the limit is below the largest force [N]."""
-    cut = Parameter("saturation.cut", "N", 0.0, peak - limit, low=0.0, high=0.95 * peak)
+    """Return the cause that drive force beyond a limit never acts: what the limit is below the largest force [N].
+
+    A force that is cut off far below the limit that was found leaves nothing that a model could get wrong.
+    """
+    cut = Parameter("saturation.cut", "N", 0.0, peak - limit, low=0.0, high=peak - RULES.lowest_limit * limit)
     return Cause("drive_saturation", "drive force that is cut off", (cut,), starts=((peak - limit,),))
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy import signal
 
 from process.types import Real
 
@@ -60,4 +61,4 @@ def filtered(samples: Real, step: float, cutoff: float, order: int = 0) -> Real:
     reach = math.ceil(half_width(cutoff) / step)
     times = step * np.arange(-reach, reach + 1, dtype=np.float64)
     padded = np.pad(samples, reach, mode="edge")
-    return np.asarray(np.convolve(padded, step * kernel(times, cutoff, order), mode="valid"))
+    return np.asarray(signal.oaconvolve(padded, step * kernel(times, cutoff, order), mode="valid"))

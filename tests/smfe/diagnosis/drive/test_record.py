@@ -13,11 +13,11 @@ from truth.drive import STEP, Axis, simulate
 
 from process.errors import InputError
 from process.labels import make_record
-from smfe.diagnosis.drive.balance import check_balance
+from smfe.diagnosis.drive.balance import Channels, balance_of, check_balance, lost_beyond
 from smfe.diagnosis.drive.control_law import Gains, fit_control_law, unlogged_command
 from smfe.diagnosis.drive.filters import Motion, Path, Resampler, motion, moves, presliding, standing
 from smfe.diagnosis.drive.noise import Whitener, strongest_wave
-from smfe.diagnosis.drive.record import DriveRecordFamily
+from smfe.diagnosis.drive.record import DriveRecordFamily, ForceData
 from smfe.diagnosis.judgement.diagnose import diagnose
 from smfe.identification.spectra.low_pass import filtered, kernel
 
@@ -499,3 +499,42 @@ def test_what_a_control_adds_to_its_law_is_no_hidden_command(declared: float) ->
         pulses = unlogged_command(law, r, q, found, STEP)[1]
         assert len(pulses) == (13 if height else 0)
         assert [p.height for p in pulses] == pytest.approx([height] * len(pulses), rel=0.05)
+
+
+def test_a_limit_far_below_the_largest_command_is_found_and_none_where_there_is_none() -> None:
+    """A drive that is cut off lags, and its command grows to several times what acts; friction cuts nothing off."""
+    for limit, found in ((100.0, pytest.approx(100.0, rel=0.05)), (np.inf, None)):
+        record = record_of(Axis(coulomb=20.0, limit=limit, seconds=14.0), 3)
+        raw = Channels.read(record, "x")
+        assert limit > 1e3 or np.max(np.abs(raw.force)) > 2.0 * limit
+        assert lost_beyond(raw, balance_of(raw, 20.0, None, delay=0.5 * STEP)) == found
+
+
+def test_a_tone_beyond_the_band_widens_it_and_is_no_part_of_the_control_law() -> None:
+    """The law of the simulated drive is exact: what is left of it beside a tone of 5 N is a thousandth of that."""
+    gains = Gains(POSITION_GAIN, VELOCITY_GAIN)
+    quiet, loud = (
+        family(Axis(hum=hum, hum_frequency=17.3, noise=1.5), seconds=14.0, gains=gains) for hum in (0.0, 5.0)
+    )
+    assert quiet.model.line is None
+    assert loud.model.line == pytest.approx(17.3, abs=0.05)
+    assert loud.model.resampler.cutoff >= 1.25 * 17.3
+    assert loud.model.law is not None
+    assert loud.model.law.noise < 0.1
+
+
+def test_a_move_is_predicted_as_part_of_its_record_as_by_itself(full: DriveRecordFamily) -> None:
+    values = null_values(full) | {"coulomb.force": 12.0, "asymmetry.viscous": -20.0, "loop_delay.delay": 0.9e-3}
+    moves_ = [c for c in full.conditions if isinstance(c.data, ForceData)]
+    alone = [replace(c, data=replace(c.data, track=None)) for c in moves_]
+    together, apart = (np.concatenate([full.predict(c, values) for c in each]) for each in (moves_, alone))
+    assert together == pytest.approx(apart, rel=1e-9, abs=1e-9 * np.abs(apart).max())
+
+
+@pytest.mark.slow
+def test_no_force_is_known_better_than_the_gain_of_its_channel() -> None:
+    """Without a mass nothing in a record tells the gain: of 1 %, a 95 % interval has 1.96 % of each force."""
+    finding = diagnose(family(Axis(coulomb=20.0), seconds=14.0, delay=0.5 * STEP))
+    (force,) = (p for c in finding.causes for p in c.parameters if p.name == "coulomb.force")
+    assert 0.5 * (force.high - force.low) >= 0.0195 * force.value
+    assert finding.values["force_gain.error"] == pytest.approx(0.0, abs=1e-4)
