@@ -237,7 +237,7 @@ def _moves(
     for k, sign in enumerate((1.0, -1.0)):
         own = t - rest - k * (there + rest)
         pace += sign * np.clip(np.minimum(ramp * own, ramp * (there - own)), 0.0, speed)
-    moving = motion(begin + step * np.cumsum(pace), step, 2.0 * model.resampler.cutoff)
+    moving = motion(begin + step * np.cumsum(pace), step, model.resampler.cutoff)
     moving = replace(moving, time=moving.time - moving.time[0] + end)
     silent = np.zeros_like(t)
     turning = model.resampler(np.where(moving.standing, 0.0, 1.0))[order:] >= DRIVE_RULES.least_moving

@@ -193,7 +193,7 @@ def _band_of(raw: Channels, cutoff: float, delay: float) -> Band:
             "the band, so that the rate must be at least four times the band: lower the cutoff"
         )
     filter_ = Resampler(raw.step, cutoff, every, math.ceil(2.0 * RULES.longest_delay / raw.step))
-    moving = motion(raw.position, raw.step, 2.0 * cutoff)
+    moving = motion(raw.position, raw.step, cutoff)
     spans = spans_of(moving, filter_)
     runs = [list(run) for run in _without_gaps(spans)]
     first, last = spans[0][0] - filter_.margin, spans[-1][1] + filter_.margin

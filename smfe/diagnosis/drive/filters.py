@@ -110,16 +110,22 @@ class Motion:
 
 
 def motion(position: Real, step: float, cutoff: float) -> Motion:
-    """Differentiate an encoder record [m] within a band [Hz]; time counts from the middle of the record."""
-    acceleration = filtered(position, step, cutoff, 2)
+    """Differentiate an encoder record [m] for a balance in a band [Hz]; time counts from the middle of the record.
+
+    The band of the motion is twice that, and wide enough for the shortest rest: what a narrower one smears into it from
+    the ramps beside it would be lost where the axis stands.
+    """
+    narrow = 2.0 * cutoff
+    band = max(narrow, min(1.0 / RULES.standing_time, RULES.wide / step))
+    acceleration = filtered(position, step, band, 2)
     return Motion(
         step * (np.arange(position.size, dtype=np.float64) - 0.5 * (position.size - 1)),
-        filtered(position, step, cutoff),
-        filtered(position, step, cutoff, 1),
+        filtered(position, step, band),
+        filtered(position, step, band, 1),
         acceleration,
-        filtered(acceleration, step, cutoff, 1),
-        filtered(acceleration, step, cutoff, 2),
-        _path(position, step, cutoff),
+        filtered(acceleration, step, band, 1),
+        filtered(acceleration, step, band, 2),
+        _path(position, step, narrow),
     )
 
 

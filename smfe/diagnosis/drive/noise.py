@@ -1,7 +1,7 @@
 """What no smooth model of an axis explains in a drive record: the noise that a diagnosis whitens with.
 
 A reference with far more parameters than any cause of the catalogue (piecewise-linear friction over speed and over
-position for each direction, pre-sliding, jerk, snap, a periodic force) is fitted to the force. Its residual is held to
+position for each direction, pre-sliding, jerk, snap, drifts, a periodic force) is fitted to the force. Its residual is held to
 be noise, and an autoregression of it (Yule-Walker over whole moves, those with a residual above twice the median left
 out) whitens:
 
@@ -185,6 +185,7 @@ def reference(m: Motion) -> Real:
     speed = np.abs(m.velocity) / np.abs(m.velocity).max()
     place = (m.position - m.position.min()) / max(float(np.ptp(m.position)), 1e-300)
     columns = [m.acceleration, m.jerk, m.snap, *(m.sliding(d) for d in _SLIDES)]
+    columns += [m.time, m.time * m.velocity]
     for way in (m.velocity > 0.0, m.velocity <= 0.0):
         columns += [way * hat for hat in _hats(speed, RULES.reference_speeds)]
         columns += [way * hat for hat in _hats(place, np.linspace(0.0, 1.0, RULES.reference_positions))]

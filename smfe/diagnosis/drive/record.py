@@ -187,7 +187,7 @@ class DriveRecordFamily(Abilities):
         else:
             shared = like.model
         known = (b.motion for (f, _), b in raw.kept.items() if f == shared.resampler.cutoff)
-        moving = next(known, None) or motion(raw.position, raw.step, 2.0 * shared.resampler.cutoff)
+        moving = next(known, None) or motion(raw.position, raw.step, shared.resampler.cutoff)
         conditions = list(_force_conditions(raw, moving, shared, name))
         pulses: tuple[Pulse, ...] = ()
         if shared.law is not None and raw.reference is not None:
