@@ -1,9 +1,9 @@
 """What no smooth model of an axis explains in a drive record: the noise that a diagnosis whitens with.
 
 A reference with far more parameters than any cause of the catalogue (piecewise-linear friction over speed and over
-position for each direction, pre-sliding, jerk, snap, drifts, a periodic force) is fitted to the force. Its residual is held to
-be noise, and an autoregression of it (Yule-Walker over whole moves, those with a residual above twice the median left
-out) whitens:
+position for each direction, pre-sliding, jerk, snap, drifts, a periodic force) is fitted to the force. Its residual is
+held to be noise, and an autoregression of it (Yule-Walker over whole moves, those with a residual above twice the
+median left out) whitens:
 
 ``e_n = (y_n + a_1 y_(n-1) + ... + a_p y_(n-p))/sigma``.
 

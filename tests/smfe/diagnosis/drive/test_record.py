@@ -169,7 +169,7 @@ def test_a_healthy_axis_that_pauses_is_consistent(rest: float, coulomb: float) -
 
 
 def test_a_record_too_short_for_its_noise_is_refused() -> None:
-    with pytest.raises(InputError, match="values, too few to separate noise from friction; 400 are needed: record"):
+    with pytest.raises(InputError, match="values, too few to separate noise from friction; 420 are needed: record"):
         family(replace(Axis(), acceleration=0.2, rest=1.0), seconds=24.0, delay=0.5 * STEP)
 
 
