@@ -121,7 +121,9 @@ def _null_vector(s00, s01, s02, s10, s11, s12, s20, s21, s22):
     """Return the vector that a matrix of rank two sends to zero: normal to two of its rows, the longest of three."""
     x, y, z = s01 * s12 - s02 * s11, s02 * s10 - s00 * s12, s00 * s11 - s01 * s10
     size = _square(x) + _square(y) + _square(z)
-    if size > 0.05 * (_square(s00) + _square(s01) + _square(s02)) * (_square(s10) + _square(s11) + _square(s12)):
+    whole = _square(s00) + _square(s01) + _square(s02) + _square(s10) + _square(s11) + _square(s12)
+    # A row that is nothing but rounding is at right angles to the other, too: both have to be of the matrix's size.
+    if size > 0.01 * (whole + _square(s20) + _square(s21) + _square(s22)) ** 2:
         return x, y, z
     u, v, w = s11 * s22 - s12 * s21, s12 * s20 - s10 * s22, s10 * s21 - s11 * s20
     other = _square(u) + _square(v) + _square(w)
