@@ -225,10 +225,10 @@ SAME, REFUSED, NOTED, CHANGED, ENDED = "same", "refused", "noted", "changed", "e
 """What may become of a damaged file: the record, a sentence, another record with or without a note, a new process."""
 
 
-def judged(path: Path, channels: Mapping[str, Channel], whole: Mapping[str, xr.Dataset] | list[xr.Dataset]) -> str:
+def judged(path: Path, channels: Mapping[str, Channel], whole: list[xr.Dataset], seconds: int = 20) -> str:
     """Return one of these, or what is wrong: a traceback, a record that is none, a refusal that is none, a hang."""
     try:
-        with alarm(20):
+        with alarm(seconds):
             records = read_records(path, dict(channels))
     except InputError as error:
         return fault_of_refusal(str(error), path) or (ENDED if "breaks down" in str(error) else REFUSED)

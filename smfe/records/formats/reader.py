@@ -46,7 +46,7 @@ RATE = 1e6
 """Bytes of a file that get another second: ten times less than the slowest reader needs on a machine of its own."""
 
 _PATIENCE = 12
-"""How many quarters of that time more are waited for a process that hardly computes."""
+"""How many quarters of that time more are waited for a process that does not compute at all."""
 
 START = 60.0
 """How long the second process may take to start; on a machine that is busy that counts, and no file is to blame."""
@@ -196,12 +196,15 @@ class _Process:
     def _line(self, path: Path, seconds: float) -> str:
         line = self.answer(seconds)
         # On a machine that is busy, and from a disk that is slow, it may have had little of that time.
-        for _ in range(_PATIENCE if line is None else 0):
+        computed, idle, slice_ = 0.0, 0, seconds / 4.0
+        while line is None and computed < 0.7 * seconds and idle < _PATIENCE:
             before = self._worked()
-            line = self.answer(seconds / 4.0)
+            line = self.answer(slice_)
             worked = self._worked()
-            if line is not None or before is None or worked is None or worked - before > 0.7 * seconds / 4.0:
+            if before is None or worked is None or worked - before > 0.7 * slice_:
                 break
+            computed += worked - before
+            idle += worked - before < 0.01 * slice_
         if line:
             return line
         what = f"does not come back within {seconds:.3g} s"
