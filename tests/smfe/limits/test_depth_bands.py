@@ -100,3 +100,18 @@ def test_bands_are_asked_of_the_method_that_finds_them_all(tmp_path):
     file.write_text(CAMPAIGN.replace("semi_discretization", "zero_order"))
     with pytest.raises(InputError, match='found by method = "semi_discretization" alone'):
         smfe.read_campaign(file)
+
+
+def test_a_helix_makes_an_island_of_period_doubling(tmp_path):
+    """Unstable from 1.1605 to 1.6107 mm, below the helix pitch of 3.14 mm; straight edges from 0.96 mm."""
+    text = CAMPAIGN.replace('diameter = "10 mm"', 'diameter = "2 mm"\nhelix_angle = "45 deg"')
+    text = text.replace('["9600 rpm", "10400 rpm", "100 rpm"]', '["54000 rpm", "54500 rpm", "500 rpm"]')
+    (tmp_path / "campaign.toml").write_text(text.replace('"5 mm"', '"0.1 mm"').replace('"4 mm"', '"3 mm"'))
+    files = ("-o", tmp_path / "lobes.nc", "--table", tmp_path / "table.csv", "--bands", tmp_path / "bands.csv")
+    done = invoked("lobes", tmp_path / "campaign.toml", *files, "-q")
+    assert done.exit_code == 0, done.output
+    bands = pd.read_csv(tmp_path / "bands.csv").set_index("spindle_speed_rpm").loc[54500.0]
+    np.testing.assert_allclose(bands["from_mm"], [0.0, 1.1605, 1.6107], rtol=1e-3)
+    assert bands["band"].tolist() == [FIRST, LOST, AGAIN]
+    limit = pd.read_csv(tmp_path / "table.csv").set_index("spindle_speed_rpm")["limit_depth_mm"]
+    assert limit[54500.0] == pytest.approx(1.1605, rel=1e-3)
