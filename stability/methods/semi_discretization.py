@@ -308,6 +308,16 @@ class _Problem:
         """Return the problem with edges that reach over a depth [m]."""
         return replace(self, reach=depth, kept={})
 
+    def more_steps(self, steps: int, factor: float) -> int:
+        """Return what to ask for to have so many times the steps: many short elements have more than were asked for."""
+        # With a helix the elements depend on the depth; at this one no two events coincide.
+        at = self.reaching(0.37 * self.cut.helix_pitch) if self.cut.twist > 0.0 else self
+        wanted = factor * at.mesh(steps).steps
+        steps = math.ceil(factor * steps)
+        while at.mesh(steps).steps < wanted:
+            steps = math.ceil(1.2 * steps)
+        return steps
+
     def twisted(self, steps: int) -> Reaches:
         """Return the cut with so many steps, by the depth over which its edges reach."""
 
@@ -360,11 +370,11 @@ def _limit_with_helix(problem: _Problem, tolerance: float) -> LimitDepth:
     """Return the first loss of stability of a cut with a helix."""
     first = problem.first_steps()
     steps = [first]
-    while steps[-1] * RULES.finer_tracked < RULES.most_steps and len(steps) < RULES.halvings:
-        steps.append(math.ceil(RULES.finer_tracked * steps[-1]))
 
     def finer(level: int) -> Reaches | None:
-        return problem.twisted(steps[level]) if level < len(steps) else None
+        if level == len(steps):
+            steps.append(problem.more_steps(steps[-1], RULES.finer_tracked))
+        return problem.twisted(steps[level]) if steps[level] < RULES.most_steps else None
 
     straight = replace(problem, kept={}).discrete(first)
     sizes = straight.curve()(angle_grid(straight.system.turn, 4))
@@ -622,7 +632,7 @@ def stability_bands(
     steps, tolerance = problem.first_steps(), _checked(tolerance)
     old = _all_crossings(problem, steps, maximum_depth)
     while steps < RULES.most_steps:
-        steps = problem.finer(problem.mesh(steps)).mesh.steps
+        steps = problem.more_steps(steps, RULES.finer)
         new = _all_crossings(problem, steps, maximum_depth)
         if len(new) == len(old) and all(relative_change(a, b) <= tolerance for a, b in zip(old, new, strict=True)):
             return _bands(problem, steps, new, maximum_depth)
