@@ -95,9 +95,9 @@ def catalogue(
         for r in sure.head(5).itertuples()
     ]
     lines += [
-        f"doubt: {r.campaign}: {r.why or f'{r.faults} faults or failures, {r.warnings} warnings'}"
-        for r in doubts.head(5).itertuples()
-        if r.why or r.faults
+        f"doubt: {r['campaign']}: {r['why'] or '{faults} faults or failures, {warnings} warnings'.format(**r)}"
+        for r in doubts.head(5).to_dict("records")
+        if r["why"] or r["faults"]
     ]
     pictures = [str(p) for p in sorted(draw.glob("*.png"))] if draw is not None else []
     lines += [f"written: {path}" for path in (output, *pictures, prior) if path is not None]

@@ -119,7 +119,7 @@ def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None =
         audit_test(campaign, number, test, out, parts)
     parts.forget_others()
     out.suspects += same_suspects(out.seen)
-    failures = []
+    failures: Failures = []
     with attempt(failures, "silent records"):
         out.suspects += silence_suspects(campaign)
     with attempt(failures, "drive records"):

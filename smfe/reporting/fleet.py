@@ -10,6 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
+from matplotlib.ticker import Locator
 
 from smfe.fleet.doubts import FAR, scores
 from smfe.fleet.tracks import QUANTITIES, Mode, drift_table, over_machines
@@ -44,7 +45,8 @@ def draw_drift(modes: Sequence[Mode]) -> Figure:
     drift = drift[drift["quantity"] == "frequency"].assign(size=lambda d: d["percent_per_year"].abs())
     worst = list(dict.fromkeys(drift.sort_values("size", ascending=False)["machine"]))[:MOST_MACHINES]
     worst = worst or sorted({m.machine for m in modes})[:MOST_MACHINES]
-    slopes = {(r.machine, r.entry, r.mode): r.percent_per_year for r in drift.itertuples()}
+    of = (drift[name].to_list() for name in ("machine", "entry", "mode"))
+    slopes = dict(zip(zip(*of, strict=True), map(float, drift["percent_per_year"]), strict=True))
     shown = sorted(over_machines(modes), key=lambda group: -len(group[2]))[:MOST_MODES]
     figure = Figure(figsize=(7.5, 0.9 + 2.6 * len(shown)), dpi=DPI, layout="constrained")
     panels = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
@@ -71,9 +73,9 @@ def draw_drift(modes: Sequence[Mode]) -> Figure:
         axes.set_title(f"{entry}, mode {number}", fontsize=9, loc="left")
         axes.grid(True, color="#dddddd", linewidth=0.5)
         axes.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    locator = AutoDateLocator()
+    locator: Locator = AutoDateLocator()  # type: ignore[no-untyped-call]
     panels[-1].xaxis.set_major_locator(locator)
-    panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))
+    panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
     panels[-1].set_xlabel("date of the measurement (bars: two standard deviations)")
     return figure
 

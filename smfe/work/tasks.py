@@ -51,7 +51,9 @@ class Begun(Generic[T]):
 class Pool(Protocol[T]):
     """Where tasks are carried out."""
 
-    count: int
+    @property
+    def count(self) -> int:
+        """How many tasks it takes at a time."""
 
     def begin(self, begun: Begun[T]) -> None:
         """Begin a task."""

@@ -64,7 +64,7 @@ class Batch:
 
 
 @overload
-def run(
+def run(  # type: ignore[overload-overlap]  # a text is a sequence of texts, and is one campaign
     campaign: Path | str | Campaign,
     out: Path | str,
     fresh: bool = False,
@@ -210,8 +210,8 @@ def _run_held(
             _carry_out(todo, root, how, progress, pool, not returned, outcomes)
     elif todo:
         count = min(jobs or cores(), sum(len(_shares(one, root)) + 1 for one in todo))
-        with processes(work, count) if count > 1 else here(work) as pool:
-            _carry_out(todo, root, partial(replace, draw=draw), progress, pool, count > 1, outcomes)
+        with processes(work, count) if count > 1 else here(work) as own:
+            _carry_out(todo, root, partial(replace, draw=draw), progress, own, count > 1, outcomes)
     progress("campaigns: writing the catalogue", 99, 100)
     for one in campaigns:
         if _has_results(outcomes[one.name], root / one.name):
@@ -320,5 +320,5 @@ def _ahead(campaign: Path, folder: Path, jobs: int, scheduler: str | None, progr
                 raise InputError(f"the workers do not see '{folder}'; name a folder with --out that all see")
             carry_out(pool, [replace(task, mark=mark) for task in tasks], then)
     elif tasks:
-        with processes(work, min(jobs, len(tasks))) as pool:
-            carry_out(pool, tasks, then)
+        with processes(work, min(jobs, len(tasks))) as own:
+            carry_out(own, tasks, then)
