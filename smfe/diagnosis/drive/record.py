@@ -71,6 +71,9 @@ class ForceData:
     track: Track | None = field(default=None, repr=False)
     """What the move is part of, from its value number `first` on; None: it stands alone."""
     first: int = 0
+    acting: Real | None = field(default=None, repr=False)
+    """The force up to the limit of the drive, low-passed like it, where there seems to be one: what is beyond counts
+    for nothing."""
 
 
 @dataclass(frozen=True)
@@ -273,7 +276,8 @@ class DriveRecordFamily(Abilities):
         white = np.zeros(data.used.size)
         white[data.used] = misfit * data.noise
         force = signal.lfilter([whitener.sigma], [1.0, *whitener.coefficients], white)
-        whole = float(np.sum(np.square(data.force[whitener.order :][data.used])))
+        acting = data.force if data.acting is None else data.acting
+        whole = float(np.sum(np.square(acting[whitener.order :][data.used])))
         return float(np.sum(np.square(force[data.used]))) / whole if whole > 0.0 else math.inf
 
     def _share(self, condition: Condition) -> float:
@@ -458,6 +462,8 @@ def _force_conditions(raw: Channels, moving: Motion, shared: DriveModel, name: s
     whole = slice(origin, named[-1][4] + filter_.margin)
     track = Track(moving[whole], raw.force[whole])
     force, moves = filter_(track.drive), filter_(np.where(track.motion.standing, 0.0, 1.0))
+    limit = math.inf if shared.limit is None else shared.limit
+    acting = filter_(np.clip(track.drive, -limit, limit))
     found = []
     for text, settings, half, begin, end in named:
         first = -(-(begin - before - origin) // every)
@@ -468,7 +474,8 @@ def _force_conditions(raw: Channels, moving: Motion, shared: DriveModel, name: s
         used = moves[first + order : first + count] >= RULES.least_moving
         if np.count_nonzero(used) > order:
             noise_ = shared.noise.get(kind_of(settings), shared.noise[ANY])
-            data = ForceData(moving[part], own, noise_, raw.force[part], used, track, first)
+            acts = acting[first : first + count]
+            data = ForceData(moving[part], own, noise_, raw.force[part], used, track, first, acts)
             found.append(Condition(text, settings, (shared.whitener(own) / noise_)[used], half, data))
     return found
 
