@@ -373,7 +373,7 @@ def _limit_with_helix(problem: _Problem, tolerance: float) -> LimitDepth:
 
     def finer(level: int) -> Reaches | None:
         if level == len(steps):
-            steps.append(problem.more_steps(steps[-1], RULES.finer_tracked))
+            steps.append(problem.more_steps(steps[-1], RULES.finer))
         return problem.twisted(steps[level]) if steps[level] < RULES.most_steps else None
 
     straight = replace(problem, kept={}).discrete(first)
