@@ -95,7 +95,7 @@ def catalogue(
         for r in sure.head(5).itertuples()
     ]
     lines += [
-        f"doubt: {r['campaign']}: {r['why'] or '{faults} faults or failures, {warnings} warnings'.format(**r)}"
+        f"doubt: {r['campaign']}: " + (r["why"] or f"{r['faults']} faults or failures, {r['warnings']} warnings")
         for r in doubts.head(5).to_dict("records")
         if r["why"] or r["faults"]
     ]
