@@ -81,15 +81,23 @@ def modal_crossings(machine: ModalModel, loop: Loop) -> tuple[Real, Real]:
     half_width = float((machine.frequency * machine.damping).min())
     step = min(1.0 / (RULES.samples_per_period * loop.delay.max()), half_width)
     shapes = (machine.direction[:, :, None] * machine.direction[:, None, :]).reshape(-1, 9)
-
-    def compliance(frequency: Real) -> Complex:
-        ratio = frequency[:, None] / machine.frequency
-        gain = 1.0 / (machine.stiffness * (1.0 - ratio**2 + 2j * machine.damping * ratio))
-        return np.asarray((gain @ shapes).reshape(-1, 3, 3))
-
     return crossings(
-        compliance, np.linspace(low, high, min(RULES.most_samples, math.ceil((high - low) / step) + 1)), loop
+        lambda f: _compliance(machine, shapes, f),
+        np.linspace(low, high, min(RULES.most_samples, math.ceil((high - low) / step) + 1)),
+        loop,
     )
+
+
+def modal_eigenvalues(machine: ModalModel, loop: Loop, frequency: Real) -> Complex:
+    """Return the eigenvalues 1/depth [1/m] of a modal model at frequencies [Hz], shape (f, 3); real at a crossing."""
+    shapes = (machine.direction[:, :, None] * machine.direction[:, None, :]).reshape(-1, 9)
+    return _eigenvalues(_compliance(machine, shapes, frequency), loop, np.arange(3), frequency)
+
+
+def _compliance(machine: ModalModel, shapes: Real, frequency: Real) -> Complex:
+    ratio = frequency[:, None] / machine.frequency
+    gain = 1.0 / (machine.stiffness * (1.0 - ratio**2 + 2j * machine.damping * ratio))
+    return np.asarray((gain @ shapes).reshape(-1, 3, 3))
 
 
 def sampled_crossings(branches: Branches, loop: Loop) -> tuple[Real, Real]:

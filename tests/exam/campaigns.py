@@ -5,8 +5,8 @@ calls it. Answers are kept in ``.cache/exam`` as they come, so that an exam that
 forgets them: after every change of the diagnosis. A diagnosis is timed by the CPU time of its one process, and given
 up after ``--patience`` seconds of it.
 
-In the part "unknown" the true cause is taken out of the catalogue, of what was declared too: there alone anything else
-than the file is touched.
+In the part "unknown" the true cause is taken out of the catalogue, of what was declared too, with those that do the
+same to what is measured (`Hiding.alike`): there alone anything else than the file is touched.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def examine(case: Case, patience: float) -> Said:
         folder = Path(place)
         hidden = draw(case.family, case.seed, case.what, folder, case.size)
         ids = tuple((name, tuple(causes)) for name, causes in hidden.causes.items())
-        gone = {i for _, causes in ids for i in causes} if case.part == "unknown" else set()
+        gone = {*hidden.alike, *(i for _, causes in ids for i in causes)} if case.part == "unknown" else set()
         start = _cpu()
         verdict, error = "", ""
         with warnings.catch_warnings(), patient(patience), _without(gone):

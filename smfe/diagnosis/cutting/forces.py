@@ -17,7 +17,7 @@ from process.errors import InputError
 from process.types import Complex, Real
 from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.checks.suspect import Suspect
-from smfe.diagnosis.cutting.orders import CuttingOrders, SteadyCut, beside_mains, cutting_orders
+from smfe.diagnosis.cutting.orders import CuttingOrders, SteadyCut, beside_mains, cutting_orders, out_of_reach
 from smfe.diagnosis.cutting.rigid import rigid_orders
 from smfe.diagnosis.cutting.rules import RULES
 from smfe.diagnosis.cutting.sensor import sensor_causes, sensor_nuisances, through_sensor
@@ -51,12 +51,21 @@ class CuttingForces(Abilities):
         """What is known within tolerances: coefficients, edge forces, the force sensor; and the helix that smooths."""
         start = min(self.tool.helix_angle, 1.2)
         helix = Parameter("helix", "deg", start, 0.1, 0.0, 1.2, 0.35, 180.0 / math.pi)
-        return (*self._coefficients(), *self._edges(), *sensor_nuisances(self.tolerances), helix)
+        return (*self._coefficients(), *self._edges(), *sensor_nuisances(self.tolerances), helix, *self._seats())
+
+    def _seats(self) -> Iterator[Parameter]:
+        """Radii of the teeth after the first beside a run-out that was declared, which somebody measured."""
+        if self.tool.equal_radius:
+            return
+        sd = RULES.seat * float(np.ptp(self.tool.tooth_offsets()))
+        for j in range(2, self.tool.teeth + 1):
+            said = f"radius of tooth {j} over that of the first"
+            yield Parameter(f"seat_{j}", "um", 0.0, 1e-6, -5e-4, 5e-4, sd, 1e6, said=said)
 
     def _coefficients(self) -> Iterator[Parameter]:
         largest = max(abs(c) for c in self.coefficients)
         share = max(self.tolerances.coefficients, RULES.exact)
-        for n, value, low in zip("tra", self.coefficients, (0.0, -3.0, -3.0), strict=True):
+        for n, value, low in zip("tra", self.coefficients, RULES.least_coefficients, strict=True):
             given = f"K{n}c" not in self.missing
             sd = share * max(abs(value), RULES.least_coefficient * largest) if given else RULES.undeclared * largest
             yield Parameter(
@@ -64,7 +73,7 @@ class CuttingForces(Abilities):
                 "N/mm^2",
                 value,
                 0.1 * largest,
-                low * largest,
+                min(low * largest, value),
                 10.0 * largest,
                 sd,
                 1e-6,
@@ -99,7 +108,30 @@ class CuttingForces(Abilities):
     def causes(self) -> tuple[Cause, ...]:
         """What such forces lack, and what may be wrong with their sensor."""
         fastest = max((c.cut.rotation for c in self._cuts()), default=100.0)
-        return (*_process_causes(self.tool, any(self.edge)), *sensor_causes(self._highest(), fastest))
+        own = sensor_causes(self._highest(), fastest, self._resonances())
+        return (*_process_causes(self.tool, any(self.edge)), *own)
+
+    def _resonances(self) -> tuple[float, ...]:
+        """Return where the dynamics of the dynamometer begin: of each axis what fits best over what was given.
+
+        A resonance with little damping between two orders is found from nowhere but near it: all are tried.
+        """
+        given = {p.name: p.start for p in self.nuisances}
+        cuts = [c for c in self._cuts() if c.cut.depth > 0.0]
+        pairs = [(turned(rigid_orders(self.tool, c.cut, c.value.shape[0], given), c), c) for c in cuts]
+        ratios, lags = np.geomspace(0.5, 5.0, RULES.resonances), np.array([0.05, 0.2])
+        found: list[float] = []
+        for axis in range(3):
+            left = np.zeros((ratios.size, lags.size))
+            for orders, c in pairs:
+                r = np.outer(ratios, np.arange(orders.shape[0]) * c.cut.rotation / (2.0 * math.pi * self._highest()))
+                flexible = 1.0 - r[:, None] ** 2 + 1j * lags[:, None] * r[:, None]
+                error = (orders[:, axis] / flexible - c.value[:, axis]) / c.std[:, axis]
+                left += np.sum(np.abs(error) ** 2, axis=2)
+            i, k = np.unravel_index(int(left.argmin()), left.shape)
+            period = ratios[i] / self._highest()
+            found += [float(period**2), float(lags[k] * period)]
+        return tuple(found)
 
     def squared_size(self, condition: Condition, misfit: Real) -> float:
         """Return the square of the error of a force over the force, rms over rms of all axes, for a whitened misfit.
@@ -165,7 +197,7 @@ def cutting_family(
     known_forces : mapping, optional
         Name -> readings [N] and the force that caused them.
     floor : float, optional
-        Share of the alternating force along an axis that a model is not expected to reach.
+        Share of each order that a model is not expected to reach.
     leak : float, optional
         Share of the alternating force along all axes that it may miss along each.
     tolerances : Tolerances, optional
@@ -181,6 +213,8 @@ def cutting_family(
         raise InputError("no record of a cut was given; a model of cutting forces needs at least one")
     found, suspects = beside_mains(found, known.hum, known.material)
     conditions = [_condition(name, c, measured=True) for name, c in found.items()]
+    # Records are given in the order in which they were made: what changes with it warms up or wears.
+    conditions = [replace(c, settings={**c.settings, "order": float(k)}) for k, c in enumerate(conditions)]
     for name, (reading, force) in (known_forces or {}).items():
         observed = np.asarray(reading, dtype=float) / force.std
         conditions.append(Condition(name, {"experiment": "known force"}, observed, "", force))
@@ -213,10 +247,9 @@ def _expected(family: CuttingForces, cut: SteadyCut, floor: float, leak: float) 
     count = family._cuts()[0].value.shape[0]
     known = dict(zip(("Kte", "Kre", "Kae"), family.edge, strict=True))
     value = rigid_orders(family.tool, cut, count, {**{p.name: p.start for p in family.nuisances}, **known})
-    power = 0.5 * np.sum(np.abs(value[1:]) ** 2, axis=0)
-    std = np.sqrt(noise**2 + floor**2 * power + leak**2 * power.sum() + 1e-12)
+    std = np.sqrt(noise**2 + out_of_reach(value, family.tool.teeth, floor, leak) + 1e-12)
     depth_std = RULES.depth / cut.depth if cut.depth > 0.0 else 0.0
-    return CuttingOrders(cut, value, np.tile(std, (count, 1)), {}, depth_std)
+    return CuttingOrders(cut, value, std, {}, depth_std)
 
 
 _MOST_EDGE = 2e5  # N/m

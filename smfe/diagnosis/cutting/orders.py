@@ -123,7 +123,8 @@ def cutting_orders(
     """Return the spindle orders of a record of a steady cut.
 
     The standard deviation is that of the mean over blocks of four revolutions, with their correlation, and of what a
-    model is not expected to reach: shares of the alternating force along the axis (`floor`) and in all (`leak`).
+    model is not expected to reach (`out_of_reach`): shares of the order itself (`floor`) and of the alternating force
+    in all (`leak`).
     `InputError` when the record has not three forces, or less than forty revolutions.
     """
     if "force" not in record or set(map(str, record["axis"].values)) != set(AXES):
@@ -148,21 +149,35 @@ def cutting_orders(
     alike = np.sum((away[1:] * away[:-1].conj()).real) / np.sum(np.abs(away) ** 2)
     grown = (1.0 + max(alike, 0.0)) / (1.0 - min(max(alike, 0.0), 0.9))
     noise = grown * np.mean(np.abs(away) ** 2, axis=0) / (blocks - 1)
-    power = 0.5 * np.sum(np.abs(value[1:]) ** 2, axis=0) * (cut.depth > 0.0)
     depth_std = RULES.depth / cut.depth if cut.depth > 0.0 else 0.0
-    std = np.sqrt(noise + floor**2 * power + leak**2 * power.sum())
+    std = np.sqrt(noise + (cut.depth > 0.0) * out_of_reach(value, tool.teeth, floor, leak))
     return CuttingOrders(cut, value, std, _lines(force, dt, cut), depth_std, 1.0 / (force.shape[1] * dt))
+
+
+def out_of_reach(value: Complex, teeth: int, floor: float, leak: float) -> Real:
+    """Return the mean square of what a model is not expected to reach of orders (n, 3), likewise (n, 3) [N^2].
+
+    Each order may be off by the share `floor` of itself, and by what a dynamometer adds whose first resonance is just
+    high enough (`RULES.resonance_from`): ``r^2/(1 - r^2)`` at r of that. The mean may be off by `floor` of the
+    alternating force, which amplifiers drift by, and every order by the share `leak` of that along all axes.
+    """
+    power = 0.5 * np.sum(np.abs(value[1:]) ** 2, axis=0)
+    square = (np.arange(value.shape[0]) / (RULES.resonance_from * teeth)) ** 2
+    share = np.hypot(floor, square / (1.0 - square))[:, None]
+    own = (share * np.abs(value)) ** 2
+    own[0] = floor**2 * power
+    return np.asarray(own + leak**2 * power.sum())
 
 
 def _aligned(each: Complex) -> Complex:
     """Turn the orders of each block, (blocks, orders, 3), by the spindle angle that brings it nearest to their mean.
 
     A spindle that wanders turns the high orders of a long record against each other; what they scatter by is then no
-    noise of the force. One step of Newton an angle, twice.
+    noise of the force. Steps of Newton, the low orders first: what turns them little may turn the high ones round.
     """
     n = np.arange(each.shape[1])
-    for _ in range(2):
-        product = np.sum(each * each.mean(axis=0).conj(), axis=2)
+    for share in (0.2, 0.4, 0.7, 1.0, 1.0):
+        product = np.sum(each * each.mean(axis=0).conj(), axis=2) * (n <= share * n[-1])
         bend = product.real @ (n * n)
         angle = np.where(bend > 0.0, product.imag @ n / np.where(bend > 0.0, bend, 1.0), 0.0)
         each = each * np.exp(-1j * np.outer(np.clip(angle, -0.1, 0.1), n))[:, :, None]

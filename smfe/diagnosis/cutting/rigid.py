@@ -18,7 +18,12 @@ from process.types import Complex, Real
 from smfe.diagnosis.cutting.orders import SteadyCut
 from smfe.diagnosis.cutting.rules import RULES
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
+
+@functools.cache
+def _nodes(count: int) -> tuple[Real, Real]:
+    """Nodes and weights of a Gauss quadrature over -1 to 1."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return nodes, weights
 
 
 def rigid_orders(tool: Tool, cut: SteadyCut, count: int, values: Mapping[str, float]) -> Complex:
@@ -65,9 +70,12 @@ def _tooth_orders(
     low, high = max(cut.arc.entry, first), min(cut.arc.exit, math.pi - first)
     if high <= low:
         return np.zeros((6, order.size, 3), dtype=complex)
-    phi = 0.5 * (low + high) + 0.5 * (high - low) * _NODES
+    # Twice the nodes must exceed the angle ``n (high - low)/2`` through which the highest order turns; 24 more do for
+    # the force itself.
+    nodes, weights = _nodes(24 + math.ceil(0.25 * (high - low) * int(order[-1])))
+    phi = 0.5 * (low + high) + 0.5 * (high - low) * nodes
     chip = np.min(feeds[:, None] * np.sin(phi) + gain[:, None], axis=0) * sin_k
-    weight = 0.5 * (high - low) * _WEIGHTS / (2.0 * math.pi) * (cut.depth / sin_k)
+    weight = 0.5 * (high - low) * weights / (2.0 * math.pi) * (cut.depth / sin_k)
     # Each coefficient acts along its own direction: (3 of them, n angles, 3 axes).
     force = weight[:, None] * _directions(phi, tool.approach_angle)
     h = np.maximum(chip, 1e-12)
@@ -80,7 +88,8 @@ def tooth_radii(tool: Tool, values: Mapping[str, float]) -> Real:
     where = values.get("runout_angle", 0.0)
     out = tool.tooth_offsets() + values.get("runout", 0.0) * np.cos(tool.tooth_angles() + where)
     out[0] += values.get("insert", 0.0)
-    return np.asarray(out + [values.get(f"radius_{j + 1}", 0.0) for j in range(tool.teeth)])
+    each = [(values.get(f"radius_{j}", 0.0), values.get(f"seat_{j}", 0.0)) for j in range(1, tool.teeth + 1)]
+    return np.asarray(out + np.sum(each, axis=1))
 
 
 def _directions(phi: Real, approach_angle: float) -> Real:

@@ -12,22 +12,30 @@ class CuttingRules:
     # forces: the limits of what is declared count one standard deviation each
     undeclared: float = 0.3  # prior standard deviation of a coefficient that nobody gave, over the largest one
     least_coefficient: float = 0.1  # share of the largest coefficient that the tolerance of a smaller one counts from
+    least_coefficients: tuple[float, float, float] = (0.0, -0.3, -1.0)
+    """Least tangential, radial and axial coefficient over the largest that was given: a chip pushes the edge away, but
+    for a keen edge of high rake; the axial force may point either way. Exchanged axes are, to the last digit, one
+    reversed axis with tangential and radial coefficient exchanged and one of them negative."""
     exact: float = 0.002  # standard deviation of coefficients that are declared to be exact
     edge_scatter: float = 0.3
     """Relative standard deviation of a declared edge force whose material states none: the intercept of a line through
     forces over the chip, which no cut reaches, is several times as uncertain as its slope, and an edge that wears
     raises it first."""
+    seat: float = 0.05  # standard deviation of the radius of a tooth, over the run-out that was declared
     depth: float = 2e-5  # standard deviation of the depth of a cut [m]
     harmonics: int = 7  # of the mains
     most_free_teeth: int = 8  # whose radii are found one by one
     angles: int = 360  # of one revolution, where the start of a record is looked for
     reference_chip: float = 5e-5  # chip thickness [m] at which a size effect leaves the coefficients as they are
     force_floor: float = 0.05
-    """Share of the alternating force along an axis that a mechanistic model may miss, see `orders`."""
+    """Share of each order that a mechanistic model may miss, see `orders`."""
+    resonance_from: float = 12.0
+    """Least first resonance of a dynamometer over the tooth passing whose orders are taken as they are."""
     leak: float = 0.01  # share of the alternating force in all that it may miss along each axis, likewise
     mains: tuple[float, ...] = (50.0, 60.0)  # lines that are looked for [Hz]
     tooth_orders: int = 6  # orders of tooth passing that count
     block: int = 4  # revolutions of a block
+    resonances: int = 60  # of a dynamometer that are tried on each axis
     least_revolutions: int = 40  # of a record
     line_found: float = 6.0  # standard deviations of a line of the mains
     beside: float = 8.0  # independent powers of noise beside a line

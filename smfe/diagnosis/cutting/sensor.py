@@ -47,15 +47,18 @@ def sensor_nuisances(t: Tolerances) -> tuple[Parameter, ...]:
     return tuple(found)
 
 
-def sensor_causes(highest: float, fastest: float) -> list[Cause]:
-    """Return causes in the force sensor, for orders up to a frequency [Hz] and spindles up to a rotation [rad/s]."""
+def sensor_causes(highest: float, fastest: float, resonances: tuple[float, ...]) -> list[Cause]:
+    """Return causes in the force sensor, for orders up to a frequency [Hz] and spindles up to a rotation [rad/s].
+
+    `resonances` are values of the dynamics of the dynamometer from which a fit begins, besides usual ones.
+    """
     exchange = Parameter("exchange", "1", 0.0, 0.2, -0.5, 1.5)
     over = Parameter("turned_over", "1", 0.0, 0.2, -0.5, 1.5)
     turn = Parameter("turned", "deg", 0.0, 0.2, -3.5, 3.5, shown=_DEGREES)
     offsets = tuple(Parameter(f"offset_{a}", "N", 0.0, 5.0, -1e3, 1e3) for a in AXES)
-    resonances = tuple(p for a in AXES for p in _resonance(a, highest))
+    dynamics = tuple(p for a in AXES for p in _resonance(a, highest))
     ratios = [r / highest for r in (0.65, 0.9, 1.5)]
-    resonant = tuple((p**2, 0.1 * p, p**2, 0.1 * p, 0.5 * p**2, 0.05 * p) for p in ratios)
+    resonant = (resonances, *((p**2, 0.1 * p, p**2, 0.1 * p, 0.5 * p**2, 0.05 * p) for p in ratios))
     signs = [
         ("sign", "the signs of all channels of the force sensor", AXES),
         *((f"sign_{a}", f"the sign of channel {a} of the force sensor", (a,)) for a in AXES),
@@ -88,7 +91,7 @@ def sensor_causes(highest: float, fastest: float) -> list[Cause]:
             for name, title, _ in signs
         ),
         Cause("sensor_offset", "offsets of the force sensor", offsets),
-        Cause("dynamometer_dynamics", "dynamics of the dynamometer", resonances, starts=resonant),
+        Cause("dynamometer_dynamics", "dynamics of the dynamometer", dynamics, starts=resonant),
         _turning("turning_force", "N", 2.0, 1e3, 1.0, "a force that turns with the spindle without cutting", "spindle"),
         _turning(
             "unbalance",

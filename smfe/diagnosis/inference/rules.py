@@ -96,6 +96,7 @@ class InferenceRules:
     collinear: float = 0.95  # cosine of two signatures above which they count as one
     # what was declared, and what matters
     contradicted: float = 0.001  # p-value of a pull beyond what was declared: 3.3 standard deviations
+    beyond: float = 3.3  # the same in standard deviations, of one parameter
     told: float = 5.0  # z against the data alone from which what was declared without uncertainty counts
     unstated: float = 2.0  # times what is material that such a difference must be worth
     informed: float = 1e-3  # share of a prior's variance that data must take away to say something of it

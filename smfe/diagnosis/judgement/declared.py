@@ -55,15 +55,16 @@ class Declared:
     over: float  # what is left over noise when nothing is declared; one where it is noise
 
     @classmethod
-    def of(cls, model: Model, target: Target, at: Fit) -> Declared:
-        """Linearise a fit."""
+    def of(cls, model: Model, target: Target, at: Fit, named: bool = True) -> Declared:
+        """Linearise a fit, with the groups of what has a name, or with one of all nuisances that have none ("")."""
         slope, residual = stacked(model, target, at.free, at.u, at.residual, at.slope)
         values = sum(y.size for y in target.observed.values())
         data, weight = slope[:values].T @ slope[:values], model.weight[at.free] ** 2
         groups: dict[str, list[int]] = {}
         for place, j in enumerate(at.free):
-            if model.parameters[j].given and weight[place] > 0.0:
-                groups.setdefault(model.parameters[j].given, []).append(place)
+            given = model.parameters[j].given
+            if bool(given) == named and weight[place] > 0.0 and (named or j in model.nuisance):
+                groups.setdefault(given, []).append(place)
         centred = (at.u - target.centre)[at.free]
         score = (data + np.diag(weight)) @ centred
         # Where a fit has stopped a little short of its optimum, released priors would make much of that little.
@@ -165,6 +166,23 @@ def slightly_off(model: Model, target: Target, at: Fit) -> list[Released]:
     linear = Declared.of(model, target, at)
     beyond = [g for g in linear.groups if linear.pull(linear.weight, g)[0] < RULES.contradicted]
     return _released(replace(linear, groups={g: linear.groups[g] for g in beyond}), lambda *_: 0.0, 0.0)
+
+
+def strained(model: Model, target: Target, at: Fit, size: Size, material: float) -> str:
+    """Return the nuisance without a name that the data put furthest beyond what is trusted of it; "" for none.
+
+    A fit that all but has it at its limit is not the baseline that was declared, and what it stands for is not known.
+    It counts only where the values that the data ask for change what matters.
+    """
+    linear = Declared.of(model, target, at, named=False)
+    if not linear.groups or linear.pull(linear.weight, "")[0] >= RULES.contradicted:
+        return ""
+    asked = linear.away(linear.without(linear.weight, ""), "")
+    if size(linear.at_declared("", asked), asked, "") < material:
+        return ""
+    place = linear.groups[""]
+    worst = at.free[place][int(np.argmax(np.abs(at.u[at.free[place]]) * np.sqrt(linear.weight[place])))]
+    return model.parameters[worst].said or str(model.names[worst])
 
 
 def _released(linear: Declared, size: Size, material: float) -> list[Released]:

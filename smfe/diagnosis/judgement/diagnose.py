@@ -21,7 +21,7 @@ from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import cosines, groups, inside
 from smfe.diagnosis.inference.thresholds import charge, covariances_of_noise, detectable, parameters_of
 from smfe.diagnosis.inference.workers import Helpers
-from smfe.diagnosis.judgement.declared import Released, contradicted, slightly_off
+from smfe.diagnosis.judgement.declared import Released, Size, contradicted, slightly_off, strained
 from smfe.diagnosis.judgement.finding import (
     Estimate,
     Finding,
@@ -35,11 +35,15 @@ from smfe.diagnosis.judgement.hypotheses import Bench
 from smfe.diagnosis.judgement.materiality import EVERYTHING, Worth
 from smfe.diagnosis.judgement.next_experiment import Proposal, rank, revealing
 from smfe.diagnosis.judgement.search import Step, search
-from smfe.diagnosis.judgement.verdict import Judgement, cause_size, judge
+from smfe.diagnosis.judgement.verdict import Judgement, cause_size, drifting, judge
 from smfe.progress import Progress, silent
 
 MEASURED = frozenset({"sensor_gain", "sensor_axis", "sensor_offset", "time_skew", "cross_talk", "accelerometer_mass"})
 """Ids of what is declared of sensors: it changes what they show, and no limit depth."""
+
+
+IMPOSSIBLE = "the data contradict what was declared, but {} ends on the limit of what is physical"
+"""Why the best fit is no explanation."""
 
 
 def diagnose(
@@ -103,13 +107,15 @@ def diagnose(
                 break
             assumed, known = at.causes, dict(bench.fits)
             conditions = family.as_found(bench.model.values(at.u))
-        declared = _contradicted(bench, at, worth)
+        declared, objection = _contradicted(bench, at, worth), ""
         if declared:
             again, _ = _prepared(family, conditions, seed, progress, held_out, helpers, worth, declared)
             again.known = dict(bench.fits)
             if again.null().converged:
                 found, more = search(again, begin=at.causes)
-                if _borne_out(again, found, declared):
+                if _at_limit(again, found):
+                    objection, declared = IMPOSSIBLE.format(_at_limit(again, found)), []
+                elif _borne_out(again, found, declared):
                     bench, at, steps = again, found, [*(s for s in steps if s.accepted), *more]
                 else:
                     declared = []
@@ -119,21 +125,46 @@ def diagnose(
             found = again.null()
             count = sum(len(r.values[0]) for r in declared)
             better = found.chi2 + RULES.penalty * count < at.chi2 + charge(bench.model, at.causes)
+            better = better and not _at_limit(again, found)
             if found.converged and better and _borne_out(again, found, declared):
                 bench, at, steps = again, found, []
             else:
                 declared = []
-        return _finding(bench, apart, at, steps, declared, worth)
+        if not objection and (name := _at_limit(bench, at)):
+            objection = IMPOSSIBLE.format(name)
+        if not objection and (name := _strained(bench, at, worth)):
+            objection = f"it fits only with {name} beyond what is trusted of it, and nothing of the catalogue says why"
+        objection = objection or drifting(bench, at, worth)
+        return _finding(bench, apart, at, steps, declared, worth, objection)
 
 
 def _contradicted(bench: Bench, at: Fit, worth: Worth) -> list[Released]:
     """Return what was declared and is not so."""
+    return contradicted(bench.model, bench.target, at, _size_of(bench, worth), worth.material)
+
+
+def _strained(bench: Bench, at: Fit, worth: Worth) -> str:
+    """Return the nuisance without a name that a fit moves beyond what is trusted of it; "" for none."""
+    return strained(bench.model, bench.target, at, _size_of(bench, worth), worth.material)
+
+
+def _size_of(bench: Bench, worth: Worth) -> Size:
     rows = list(bench.target.observed)
 
     def size(before: Real, after: Real, given: str) -> float:
         return worth.of_causes(bench.model, rows, before, after, given in MEASURED)
 
-    return contradicted(bench.model, bench.target, at, size, worth.material)
+    return size
+
+
+def _at_limit(bench: Bench, at: Fit) -> str:
+    """Return what was declared and ends on a limit of what is physical, far beyond what is trusted of it."""
+    model = bench.model
+    for j in map(int, model.nuisance):
+        near = min(abs(at.u[j] - model.low[j]), abs(model.high[j] - at.u[j])) < 1e-6
+        if near and abs(at.u[j]) > RULES.beyond * _prior(model, j):
+            return model.parameters[j].said or str(model.names[j])
+    return ""
 
 
 def _borne_out(bench: Bench, at: Fit, released: Sequence[Released]) -> bool:
@@ -209,12 +240,13 @@ def _finding(
     steps: Sequence[Step],
     released: Sequence[Released] = (),
     worth: Worth = EVERYTHING,
+    objection: str = "",
 ) -> Finding:
     model, values, null = bench.model, _values(bench), bench.null()
     limit = bench.threshold(null)
     sizes = detectable(model, bench.tangent(null), limit)
     together = groups(model, cosines(model, bench.tangent(null)))
-    judged = judge(bench, at, steps, sizes, worth, bool(released))
+    judged = judge(bench, at, steps, sizes, worth, bool(released), objection)
     if judged.verdict in ("unknown", "insufficient_data"):
         released = ()  # what is not understood may have moved them
     before = _as_given(bench, released) if released else bench

@@ -57,11 +57,22 @@ def judge(
     sizes: Sequence[Detectable],
     worth: Worth = EVERYTHING,
     released: bool = False,
+    objection: str = "",
 ) -> Judgement:
     """Judge the fit and the steps that a search ended with, given what would have been seen and what matters.
 
-    `released`: the data contradict what was declared, and it was released.
+    `released`: the data contradict what was declared, and it was released. `objection`: why the fit is no explanation,
+    however well it fits; "" for none.
     """
+    found = _judged(bench, at, steps, sizes, worth, released)
+    if objection and found.verdict in ("consistent", "named", "ambiguous"):
+        return replace(found, verdict="unknown", reason=objection, sets={})
+    return found
+
+
+def _judged(
+    bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence[Detectable], worth: Worth, released: bool
+) -> Judgement:
     if not at.causes:
         found = _without_cause(bench, at, steps, sizes, worth)
         if released and found.verdict == "consistent":
@@ -152,7 +163,9 @@ def _of_baseline(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence[D
     # Noise finds more among all pairs, with their shapes, than the linearised threshold allows for, and so do smooth
     # errors of a simulation with a mode or a gain: what held-out conditions do not bear out convicts only where the
     # misfit itself is more than noise.
-    telling = [s for s in steps if left.p_value < RULES.band or _borne_out(s)]
+    # What was taken in and dropped later, as a release has made it idle, was not refused.
+    refused_steps = [s for s in steps if not s.accepted]
+    telling = [s for s in refused_steps if left.p_value < RULES.band or _borne_out(s)]
     if telling:
         refused = max(telling, key=lambda s: s.ratio - s.threshold)
         best = bench.words([k for k in refused.causes if k not in at.causes])
@@ -324,6 +337,7 @@ class Change:
     setting: str  # with what
     ratio: float  # likelihood ratio of letting it change
     threshold: float  # what noise reaches
+    effect: Real = field(repr=False)  # shape (N,): what the change does to the whitened data of all conditions
 
     @property
     def certain(self) -> bool:
@@ -346,12 +360,35 @@ def most_changing(
     limit = upper(scores, p_value)
     gains = [float(at.residual @ c @ inv @ c.T @ at.residual) for c, inv in zip(columns, inverses, strict=True)]
     k = int(np.argmax(np.array(gains) - charges))
-    return Change(found[k][0], found[k][1], gains[k], limit + charges[k])
+    effect = columns[k] @ inverses[k] @ columns[k].T @ at.residual
+    return Change(found[k][0], found[k][1], gains[k], limit + charges[k], effect)
 
 
 def changing(bench: Bench, at: Fit) -> Change | None:
     """Return the parameter of a fit that differs most between its conditions."""
     return most_changing(bench.model, bench.tangent(at), bench.rng(7, len(at.causes)))
+
+
+def drifting(bench: Bench, at: Fit, worth: Worth) -> str:
+    """Say which parameter of a fit drifts from test to test, by what matters in one of them; "" for none.
+
+    What is fitted to all tests of a machine that warms up, or of an edge that wears, is the mean of what it was.
+    """
+    rows = list(at.residual)
+    if worth.material == 0.0 or not all("order" in bench.model.conditions[r].settings for r in rows):
+        return ""
+    change = changing(bench, at)
+    if change is None or not change.certain or change.setting != "order":
+        return ""
+    ends = np.cumsum([at.residual[r].size for r in rows])
+    parts = np.split(change.effect[: ends[-1]], ends[:-1])
+    conditions = [bench.model.conditions[r] for r in rows]
+    each = [bench.model.family.squared_size(c, x) for c, x in zip(conditions, parts, strict=True)]
+    largest = math.sqrt(max(0.0, *each))
+    if largest < worth.material:
+        return ""
+    of = next((p.said for p in bench.model.parameters if p.name == change.parameter and p.said), change.parameter)
+    return f"{of} changes from test to test, by up to {_percent(largest)}, and no cause of the catalogue explains it"
 
 
 def _patterns(model: Model, at: Tangent) -> Iterator[tuple[str, str, Real]]:

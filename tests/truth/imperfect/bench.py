@@ -30,7 +30,8 @@ class Answer:
     """What was hidden in a campaign.
 
     hidden: effect -> its size with its sign. causes: effect -> ids of which any is right. cost: the relative change of
-    limit depth or force by all of it. truths: name of a parameter -> true value in the unit that is shown.
+    limit depth or force by all of it. truths: name of a parameter -> true value in the unit that is shown. alike: ids
+    that do the same to what is measured.
     """
 
     family: str
@@ -40,6 +41,7 @@ class Answer:
     cost: float
     truths: Mapping[str, float] = field(default_factory=dict)
     drawn: Mapping[str, float | str] = field(default_factory=dict)
+    alike: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,8 @@ class Hiding:
     signed: bool = False
     switch: bool = False
     """There or not: it has no size that could be raised."""
+    alike: tuple[str, ...] = ()
+    """Ids by which the same could be measured: none of them is right, but without them nothing is left to be named."""
 
 
 def raised(

@@ -82,6 +82,18 @@ def test_forces_of_a_slot_in_closed_form() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-9 * size * 8e8)
 
 
+@pytest.mark.parametrize("teeth", [2, 6, 12])
+def test_edge_forces_of_a_slot_in_closed_form_up_to_the_highest_order(teeth: int) -> None:
+    """``-Kte b cos(phi)`` along x from 0 to pi: ``N/pi`` times the integral of it with ``exp(-j n phi)``."""
+    count, cut = 6 * teeth + 1, SteadyCut(100.0, 1e-4, 2e-3, SLOT)
+    values = {"Ktc": 0.0, "Krc": 0.0, "Kac": 0.0, "Kte": 3e4, "helix": 0.0}
+    found = rigid_orders(Tool(MILL.diameter, teeth), cut, count, values)[:, 0]
+    n = np.arange(0, count, teeth)
+    turns = [1j * (sign - n) for sign in (1.0, -1.0)]
+    integral = 0.5 * sum((np.exp(math.pi * t) - 1.0) / np.where(t == 0.0, 1.0, t) for t in turns)
+    np.testing.assert_allclose(found[n[1:]], -3e4 * 2e-3 * teeth / math.pi * integral[1:], atol=1e-9 * 60.0)
+
+
 @pytest.mark.parametrize(
     "more",
     [{}, {"runout": 2e-5}, {"edge": (5e3, 5e3, 0.0)}, {"size_effect": 0.2}, {"helix": 0.14}],

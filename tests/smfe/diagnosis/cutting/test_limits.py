@@ -141,6 +141,18 @@ def test_depth_goes_with_one_over_the_coefficients_and_nothing_else(plain: Cutti
         np.testing.assert_allclose(other[1], one[1], rtol=1e-9)
 
 
+def test_slopes_of_a_crossing_are_the_differences_of_its_limits(plain: CuttingLimits) -> None:
+    parameters = [*plain.nuisances, *(p for c in plain.causes for p in c.parameters)]
+    values = start(plain) | {"mode_compliance": 1e-9, "process_damping": 2e4, "micro_slip_1": 0.05, "coefficients": 0.1}
+    slopes = plain.slopes(plain.conditions, values, parameters)
+    assert slopes is not None
+    for condition, found in zip(plain.conditions, slopes, strict=True):
+        for p, slope in zip(parameters, found.T, strict=True):
+            h, least = 0.01 * p.scale, -0.01 * p.scale if values[p.name] > p.low else 0.0
+            up, down = (plain.predict(condition, values | {p.name: values[p.name] + x}) for x in (h, least))
+            np.testing.assert_allclose(slope, p.scale * (up - down) / (h - least), rtol=0.01, atol=1e-2, err_msg=p.name)
+
+
 def test_what_is_not_physics_is_refused(plain: CuttingLimits) -> None:
     bounds = {p.name: (p.low, p.high) for c in plain.causes for p in c.parameters}
     assert bounds["process_damping"][0] == 0.0

@@ -67,15 +67,12 @@ def lines(family: CuttingForces) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return slopes.reshape(2, *values.shape[1:]), line, aligned
 
 
-def test_no_model_linear_in_the_chip_does_better_than_the_floor(lines: tuple) -> None:
-    """What a line over the feed leaves, over the alternating force."""
+def test_no_model_linear_in_the_chip_explains_these_slots(lines: tuple) -> None:
+    """What a line over the feed leaves of all orders together, over the alternating force: a tenth and more."""
     _, line, aligned = lines
-    left = np.mean(np.abs(aligned - line) ** 2, axis=(0, 1)) * 5.0 / (5.0 - 2.3)
+    left = np.mean(0.5 * np.sum(np.abs(aligned - line)[:, 1:] ** 2, axis=1), axis=0) * 5.0 / (5.0 - 2.3)
     alternating = np.mean(0.5 * np.sum(np.abs(aligned[:, 1:]) ** 2, axis=1), axis=0)
-    x, y, z = np.sqrt(left / alternating)
-    assert x == pytest.approx(RULES.force_floor, abs=0.01)
-    assert y == pytest.approx(RULES.force_floor, abs=0.02)
-    assert z > RULES.force_floor
+    assert np.all(np.sqrt(left / alternating) > 1.8 * RULES.force_floor)
 
 
 def test_what_remains_grows_with_the_chip_where_a_full_slot_gives_nothing(family: CuttingForces, lines: tuple) -> None:

@@ -135,6 +135,41 @@ def test_without_a_stated_uncertainty_what_matters_is_a_finding_within_the_prior
     assert diagnose(measured({"coefficients": -0.04}, nuisances=loose), worth=WORTH).verdict == "consistent"
 
 
+def test_what_has_no_name_and_must_be_beyond_what_is_trusted_of_it_is_unknown():
+    """Without their names coefficients half as large again fit as well, by 4.5 standard deviations of both."""
+    nameless = (declared("coefficients", ""), declared("gain", "", 0.01))
+    found = diagnose(measured({"coefficients": 0.45}, nuisances=nameless), worth=WORTH)
+    assert (found.verdict, found.causes) == ("unknown", ())
+    assert "coefficients beyond what is trusted of it" in found.reason
+    assert diagnose(measured({"coefficients": 0.15}, nuisances=nameless), worth=WORTH).verdict == "consistent"
+    exact = (declared("coefficients", "", 0.005), declared("gain", "", 0.001))
+    assert diagnose(measured({"coefficients": 0.03}, nuisances=exact), worth=WORTH).verdict == "consistent"
+
+
+def test_a_declared_value_that_has_to_be_impossible_is_not_named():
+    bounded = replace(declared("coefficients", "force_coefficients"), high=0.5), declared("gain", "sensor_gain", 0.01)
+    far, near = (
+        diagnose(measured({"coefficients": x}, nuisances=bounded, reference=True), worth=WORTH) for x in (0.55, 0.45)
+    )
+    assert (far.verdict, far.causes) == ("unknown", ())
+    assert ids(near) == {"force_coefficients": None}
+
+
+@pytest.mark.parametrize(("material", "verdict"), [(0.005, "unknown"), (0.05, "consistent")])
+def test_what_drifts_from_test_to_test_is_unknown_where_it_matters_though_all_together_look_like_noise(
+    material, verdict
+):
+    """From -0.9 to 0.9 %, a likelihood ratio of 45 among 240 values that scatter by less than was allowed for."""
+    family = measured({})
+    rng, conditions = np.random.default_rng(5), []
+    for n, c in enumerate(family.conditions):
+        shown = family.predict(c, {"coefficients": 0.0036 * (n - 2.5), "gain": 0.0}) + 0.2 * rng.standard_normal(N)
+        conditions.append(replace(c, settings={"speed": c.settings["speed"], "order": float(n)}, observed=shown))
+    found = diagnose(replace(family, conditions=tuple(conditions)), worth=Worth(material))
+    assert (found.verdict, found.causes) == (verdict, ())
+    assert ("changes from test to test" in found.reason) == (verdict == "unknown")
+
+
 def test_a_cause_is_named_if_it_matters_and_listed_if_it_does_not():
     large, small = (diagnose(measured({"ripple": size}), worth=WORTH) for size in (15.0, 3.0))
     assert (large.verdict, [c.id for c in large.causes], large.immaterial) == ("named", ["ripple"], ())
