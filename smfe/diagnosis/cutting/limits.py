@@ -330,7 +330,8 @@ class CuttingLimits(Abilities):
     def _eigenvalue(self, limit: Limit, values: Values, frequency: Real, expected: Real) -> Complex:
         """Return at each frequency [Hz] the eigenvalue [1/m] nearest to one that is expected."""
         each = modal_eigenvalues(self.changed(values, limit), self._loop(limit, values), frequency)
-        return each[np.arange(frequency.size), np.argmin(np.abs(each - expected[:, None]), axis=1)]
+        nearest = np.argmin(np.abs(each - expected[:, None]), axis=1)
+        return np.asarray(each[np.arange(frequency.size), nearest])
 
 
 _STEP = 1e-5

@@ -132,8 +132,6 @@ def diagnose(
                 declared = []
         if not objection and (name := _at_limit(bench, at)):
             objection = IMPOSSIBLE.format(name)
-        if not objection and (name := _strained(bench, at, worth)):
-            objection = f"it fits only with {name} beyond what is trusted of it, and nothing of the catalogue says why"
         objection = objection or drifting(bench, at, worth)
         return _finding(bench, apart, at, steps, declared, worth, objection)
 
@@ -246,7 +244,7 @@ def _finding(
     limit = bench.threshold(null)
     sizes = detectable(model, bench.tangent(null), limit)
     together = groups(model, cosines(model, bench.tangent(null)))
-    judged = judge(bench, at, steps, sizes, worth, bool(released), objection)
+    judged = judge(bench, at, steps, sizes, worth, bool(released), objection, _strained(bench, at, worth))
     if judged.verdict in ("unknown", "insufficient_data"):
         released = ()  # what is not understood may have moved them
     before = _as_given(bench, released) if released else bench

@@ -58,15 +58,19 @@ def judge(
     worth: Worth = EVERYTHING,
     released: bool = False,
     objection: str = "",
+    strain: str = "",
 ) -> Judgement:
     """Judge the fit and the steps that a search ended with, given what would have been seen and what matters.
 
     `released`: the data contradict what was declared, and it was released. `objection`: why the fit is no explanation,
-    however well it fits; "" for none.
+    however well it fits; "" for none. `strain`: what it moves beyond what is trusted of it: nothing consistent.
     """
     found = _judged(bench, at, steps, sizes, worth, released)
     if objection and found.verdict in ("consistent", "named", "ambiguous"):
         return replace(found, verdict="unknown", reason=objection, sets={})
+    if strain and found.verdict == "consistent":
+        reason = f"it fits only with {strain} beyond what is trusted of it, and nothing of the catalogue says why"
+        return replace(found, verdict="unknown", reason=reason)
     return found
 
 
@@ -375,6 +379,8 @@ def drifting(bench: Bench, at: Fit, worth: Worth) -> str:
     What is fitted to all tests of a machine that warms up, or of an edge that wears, is the mean of what it was.
     """
     rows = list(at.residual)
+    if any(c.id == "drift" for c in bench.model.causes):  # then the search has looked for it
+        return ""
     if worth.material == 0.0 or not all("order" in bench.model.conditions[r].settings for r in rows):
         return ""
     change = changing(bench, at)
