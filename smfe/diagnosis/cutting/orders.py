@@ -123,8 +123,8 @@ def cutting_orders(
     """Return the spindle orders of a record of a steady cut.
 
     The standard deviation is that of the mean over blocks of four revolutions, with their correlation, and of what a
-    model is not expected to reach (`out_of_reach`): shares of the order itself (`floor`) and of the alternating force
-    in all (`leak`).
+    model is not expected to reach (`out_of_reach`): shares of the order itself (`floor`) and of the force in all
+    (`leak`).
     `InputError` when the record has not three forces, or less than forty revolutions.
     """
     if "force" not in record or set(map(str, record["axis"].values)) != set(AXES):
@@ -159,14 +159,15 @@ def out_of_reach(value: Complex, teeth: int, floor: float, leak: float) -> Real:
 
     Each order may be off by the share `floor` of itself, and by what a dynamometer adds whose first resonance is just
     high enough (`RULES.resonance_from`): ``r^2/(1 - r^2)`` at r of that. The mean may be off by `floor` of the
-    alternating force, which amplifiers drift by, and every order by the share `leak` of that along all axes.
+    alternating force, and every order by the share `leak` of the rms along all axes, the mean included: a run-out of
+    some hundredths of the feed lets every tooth cut that much more or less of it, and amplifiers drift by as much.
     """
     power = 0.5 * np.sum(np.abs(value[1:]) ** 2, axis=0)
     square = (np.arange(value.shape[0]) / (RULES.resonance_from * teeth)) ** 2
     share = np.hypot(floor, square / (1.0 - square))[:, None]
     own = (share * np.abs(value)) ** 2
     own[0] = floor**2 * power
-    return np.asarray(own + leak**2 * power.sum())
+    return np.asarray(own + leak**2 * (power.sum() + float(np.sum(np.abs(value[0]) ** 2))))
 
 
 def _aligned(each: Complex) -> Complex:

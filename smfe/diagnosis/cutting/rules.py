@@ -31,7 +31,7 @@ class CuttingRules:
     """Share of each order that a mechanistic model may miss, see `orders`."""
     resonance_from: float = 12.0
     """Least first resonance of a dynamometer over the tooth passing whose orders are taken as they are."""
-    leak: float = 0.01  # share of the alternating force in all that it may miss along each axis, likewise
+    leak: float = 0.01  # share of the rms along all axes that it may miss of every order, likewise
     mains: tuple[float, ...] = (50.0, 60.0)  # lines that are looked for [Hz]
     tooth_orders: int = 6  # orders of tooth passing that count
     block: int = 4  # revolutions of a block
