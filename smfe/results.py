@@ -123,7 +123,7 @@ def defused(frame: pd.DataFrame) -> pd.DataFrame:
     out = frame.copy(deep=False)
     for k in texts:
         if any(isinstance(cell, str) and _FORMULA.match(cell) for cell in frame.iloc[:, k]):
-            out.isetitem(k, frame.iloc[:, k].map(of))
+            out.isetitem(k, [of(cell) for cell in frame.iloc[:, k]])
     return out.rename(columns=of)
 
 
@@ -137,7 +137,7 @@ def as_named(frame: pd.DataFrame) -> pd.DataFrame:
     out = frame.copy(deep=False)
     for k in texts:
         if any(isinstance(cell, str) and cell[:1] == "'" for cell in frame.iloc[:, k]):
-            out.isetitem(k, frame.iloc[:, k].map(of))
+            out.isetitem(k, [of(cell) for cell in frame.iloc[:, k]])
     return out.rename(columns=of)
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import smfe
 from smfe.results import write_atomically
 
-def run(campaign, folder, fresh, progress, licence):
+def run(campaign, folder, fresh, progress, *_):
     def write(path):
         path.write_text("half")
         print("ready", file=sys.stderr, flush=True)
@@ -84,8 +84,8 @@ def wait():
     for _ in range(10 * 30):
         time.sleep(0.1)  # a signal just before a long one would wait for its end
 
-def run(campaign, folder, fresh, progress, licence):
-    if campaign.stem == "in_a_callback":
+def run(campaign, folder, fresh, progress, *_):
+    if campaign.removesuffix(".toml") == "in_a_callback":
         ctypes.CFUNCTYPE(None)(wait)()
     else:
         try:
@@ -147,7 +147,7 @@ def ask(number, values):
     for _ in range(10 * 60):
         time.sleep(0.1)  # a signal just before a long one would wait for its end
 
-def run(campaign, folder, fresh, progress, licence):
+def run(campaign, folder, fresh, progress, *_):
     with Helpers(2) as helpers:
         helpers.answers(ask, [(0, np.zeros(1)), (1, np.ones(1))])
 
