@@ -9,8 +9,8 @@
 - `stationary_vibration`: the periodic vibration of a stable cut, and the surface error that it leaves; `cut_maps` over
   speed and depth, with force, torque, power and removal rate.
 - `find_boundary`: the boundary of any scalar function of two named axes, with islands and every band.
-- `sampled_band`, `linearised_band`, `with_band`: quantiles of a limit and the depth that is safe; `Spread` for
-  errors that the compliance does not hold.
+- `sampled_band`, `linearised_band`, `converged_band`, `with_band`: quantiles of a limit and the depth that is safe;
+  `Spread` for errors that the compliance does not hold.
 - `best_pockets`, `write_presets`: the speeds at which most is removed, and presets for a tool library.
 - `design_pitch`: the unequal pitch that suits a mode and a speed.
 - `chatter_verdict`: stable, chatter or undecided, from the record of a cut.
@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING
 from process._lazy import lazy
 
 if TYPE_CHECKING:
+    from stability.bands.converged_band import converged_band
     from stability.bands.depth_quantiles import linearised_band, sampled_band, with_band
     from stability.bands.error_model import Spread, carries_errors
     from stability.boundary import Axis, Boundary, find_boundary, pointwise
@@ -79,6 +80,7 @@ __all__ = [
     "best_pockets",
     "carries_errors",
     "chatter_verdict",
+    "converged_band",
     "critical_depth",
     "critical_depth_from_matrix",
     "cut_maps",
@@ -106,6 +108,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "stability.bands.converged_band": "converged_band",
     "stability.bands.depth_quantiles": "linearised_band, sampled_band, with_band",
     "stability.bands.error_model": "Spread, carries_errors",
     "stability.boundary": "Axis, Boundary, find_boundary, pointwise",

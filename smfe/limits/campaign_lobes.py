@@ -30,7 +30,16 @@ from smfe.limits.source_modes import asked_cut, fitted_modes
 from smfe.progress import Progress, silent, step
 from smfe.results import LOBES, MEASUREMENT, Failures, attempt, pack_warnings
 from smfe.stored import Store, digest
-from stability import Spread, carries_errors, lobe_curves, lobe_table, operating_point, sampled_band, with_band
+from stability import (
+    Spread,
+    carries_errors,
+    converged_band,
+    lobe_curves,
+    lobe_table,
+    operating_point,
+    sampled_band,
+    with_band,
+)
 from stability.bands.depth_quantiles import exact_band
 from stability.methods.catalogue import METHODS
 from stability.tables.lobe_table import Origin
@@ -349,6 +358,21 @@ def _banded(
         of = turned_modes(model.modal, request.feed_direction)
     elif request.feed_direction:
         of = turned(compliance, request.feed_direction)[0]
+    if request.method != "zero_order":
+        cut = campaign.tool, arc, campaign.coefficients
+        if request.method == "semi_discretization" and isinstance(of, xr.Dataset):
+            limits = converged_band(limits, fitted_modes(of)[0], *cut, spread, measured=of)
+        else:
+            limits = converged_band(limits, of, *cut, spread)
+        none = np.isinf(limits["limit_depth"].values)
+        if not none.any():
+            return limits
+        # Where no crossing limits the depth there is none to derive: how deep one may come up, zero order draws.
+        band = sampled_band(of, *cut, limits["spindle_speed"].values[none], spread)
+        there = with_band(limits.isel(spindle_speed=none).drop_vars(["limit_depth_quantile", "safe_depth"]), band)
+        for name in ("limit_depth_quantile", "safe_depth"):
+            limits[name].values[..., none] = there[name].values
+        return limits
     band = sampled_band(of, campaign.tool, arc, campaign.coefficients, request.spindle_speed, spread)
     notes = [*limits.attrs.get("warnings", ()), *band.attrs.get("warnings", ())]
     return with_band(limits, band).assign_attrs(warnings=list(dict.fromkeys(notes)))

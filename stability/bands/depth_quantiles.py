@@ -134,7 +134,7 @@ def sampled_band(
     """
     if count < 20:
         raise InputError(f"{count} samples give no quantile; give at least 20, better 200")
-    levels = _levels(quantiles, safe_probability)
+    levels = checked_levels(quantiles, safe_probability)
     problem = _problem(compliance, Cut(tool, arc, coefficients), spindle_speed, spread or Spread())
     nominal = problem.depths(problem.samples.matrix, coefficients)
     generator = np.random.default_rng(seed)
@@ -145,7 +145,7 @@ def sampled_band(
         drawn[i] = problem.depths(problem.samples.matrix + problem.error.draw(generator), work)
     found = corrected_quantiles(drawn, nominal, levels, problem.spread.common)
     out = _labelled("sampled", problem, nominal, levels, found, safe_probability, {"samples": count, "seed": seed})
-    out.attrs["warnings"] += _bias_warning(drawn, nominal)
+    out.attrs["warnings"] += bias_warning(drawn, nominal)
     return out
 
 
@@ -178,7 +178,7 @@ def linearised_band(
     InputError
         As `sampled_band`, and for unequal pitch.
     """
-    levels = _levels(quantiles, safe_probability)
+    levels = checked_levels(quantiles, safe_probability)
     problem = _problem(compliance, Cut(tool, arc, coefficients), spindle_speed, spread or Spread())
     problem.cut.require_equal_pitch("the linearised band")
     nominal = problem.depths(problem.samples.matrix, coefficients)
@@ -317,7 +317,7 @@ def _bias(drawn: Real, nominal: Real, common: float = 0.0) -> Real:
     return np.asarray(ndtri(below / drawn.shape[0]))
 
 
-def _bias_warning(drawn: Real, nominal: Real) -> list[str]:
+def bias_warning(drawn: Real, nominal: Real) -> list[str]:
     """Say where errors of the compliance make limits too low as a rule: every wrong crossing counts, none raises it."""
     low = int((_bias(drawn, nominal) > RULES.most_bias).sum())
     if low == 0:
@@ -360,7 +360,7 @@ def _problem(compliance: xr.Dataset | ModalModel, cut: Cut, spindle_speed: Array
     return _Problem(cut, samples, error, spread, speed)
 
 
-def _levels(quantiles: Sequence[float], safe_probability: float) -> tuple[float, ...]:
+def checked_levels(quantiles: Sequence[float], safe_probability: float) -> tuple[float, ...]:
     """Return the quantiles asked for, then that of the safe depth, then the least that the safe depth may claim."""
     for value in (*quantiles, safe_probability):
         if not 0.0 < value < 1.0:

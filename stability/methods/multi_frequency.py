@@ -168,8 +168,7 @@ def multi_frequency(
         raise InputError(f"the tolerance is {tolerance:g}; a share of the limit between 0 and 1 is needed, e.g. 1e-3")
     response = _measured(compliance) if isinstance(compliance, xr.Dataset) else _modal(compliance)
     cut = Cut(tool, arc, coefficients, process_damping)
-    size = np.abs(response.at(np.linspace(0.0, response.highest, 9))).max(axis=0)
-    lines = _Lines(cut, pattern_of_pitch(tool), size.max(axis=0) > 0.0, size.max(axis=1) > 0.0)
+    lines = _lines_of(response, cut)
     _require_reach(response, lines, float(speed.min()))
     if cut.twist > 0.0:
         limits = [_limit_with_helix(response, lines, float(n), tolerance) for n in speed]
@@ -186,6 +185,11 @@ def multi_frequency(
             "harmonics, or are not confirmed: see limit_depth_error"
         )
     return labelled_limits("multi_frequency", speed, limits, "harmonics", warnings)
+
+
+def _lines_of(response: _Response, cut: Cut) -> _Lines:
+    size = np.abs(response.at(np.linspace(0.0, response.highest, 9))).max(axis=0)
+    return _Lines(cut, pattern_of_pitch(cut.tool), size.max(axis=0) > 0.0, size.max(axis=1) > 0.0)
 
 
 def _require_reach(response: _Response, lines: _Lines, slowest: float) -> None:
@@ -411,6 +415,14 @@ class _Blocks:
         out[:, self.moved] = vector.reshape(lines, -1)
         return out
 
+    def motion_lines(self, left: Complex, regenerated: Complex) -> Complex:
+        """Return what a motion in each line gives to a left eigenvector, (lines, 3); regenerated (teeth, lines)."""
+        lines = regenerated.shape[1]
+        out = np.zeros((lines, 3), dtype=complex)
+        shares = np.einsum("tqif,i->tqf", self.columns[:, :lines, : left.size], left)
+        out[:, self.felt] = np.einsum("tq,tqf->qf", regenerated, shares)
+        return out
+
 
 @dataclass(frozen=True)
 class _Contacts:
@@ -457,6 +469,11 @@ class _Contacts:
     def force_lines(self, vector: Complex, lines: int) -> Complex:
         """Return the force lines (lines, 3) that an eigenvector stands for."""
         return np.asarray(vector @ self.force[:lines])
+
+    def motion_lines(self, left: Complex, regenerated: Complex) -> Complex:
+        """Return what a motion in each line gives to a left eigenvector, (lines, 3); regenerated (teeth, lines)."""
+        weight = left[:, None] * regenerated[self.tooth]
+        return np.asarray(np.einsum("cq,qcf->qf", weight, self.chip[: weight.shape[1]]))
 
 
 @dataclass(frozen=True)
@@ -561,6 +578,16 @@ class _Truncated:
         found = approach(lambda at: self.matrices(at, low), angle, start, vector)
         return None if found is None else _Vibration(*found)
 
+    def up_to(self, deepest: float) -> list[Crossing]:
+        """Return all crossings up to a depth [m] as `crossings`; eigenvalues that are too small are not computed."""
+        least = 0.5 * RULES.share_of_bound / deepest
+
+        def large(matrices: Complex) -> list[Complex]:
+            none = np.empty(0, dtype=complex)
+            return [np.linalg.eigvals(m) if kernels.may_reach(m, least) else none for m in matrices]
+
+        return find_crossings(lambda at: self.of_all(at, large), self.scan(RULES.checked_steps), deepest)
+
     def vibration(self, crossing: Crossing) -> _Vibration:
         """Return a crossing with its vector."""
         values, vectors = np.linalg.eig(self.matrices(np.array([crossing.angle]))[0])
@@ -575,6 +602,38 @@ class _Truncated:
         moved = (phi @ force[:, :, None])[:, :, 0]
         strongest = float(turns[int(np.argmax(np.linalg.norm(moved, axis=1)))])
         return strongest, abs(strongest) / self.duration, self.lines.pattern.lobe(abs(strongest))
+
+
+class Loops:
+    """The loops of a machine and a cut at any spindle speed, for what is asked beside the limit itself.
+
+    Parameters
+    ----------
+    compliance : xarray.Dataset or Machine
+        As of `multi_frequency`.
+    cut : Cut
+        Tool, arc, work material, flank.
+    """
+
+    def __init__(self, compliance: xr.Dataset | Machine, cut: Cut) -> None:
+        self.cut = cut
+        self._response = _measured(compliance) if isinstance(compliance, xr.Dataset) else _modal(compliance)
+        self._lines = _lines_of(self._response, cut)
+
+    @property
+    def most(self) -> int:
+        """Number of harmonics beyond which none is added."""
+        return self._lines.most
+
+    def fewest(self, spindle_speed: float) -> int:
+        """Return the number of harmonics that reach the highest mode at a spindle speed [rpm]."""
+        return _first_count(self._response, self._lines, self._lines.pattern.duration(spindle_speed))
+
+    def at(self, spindle_speed: float, count: int, reach: float = 0.0) -> _Truncated:
+        """Return the loop at a spindle speed [rpm] with so many harmonics, of edges that reach over a depth [m]."""
+        lines = self._lines.reaching(reach) if self.cut.twist > 0.0 else self._lines
+        duration = lines.pattern.duration(spindle_speed)
+        return _Truncated(self._response, lines, duration, count, lines.upto(count))
 
 
 @dataclass(frozen=True)
