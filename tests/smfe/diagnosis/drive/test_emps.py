@@ -203,15 +203,16 @@ def free_run(name: str, values: Mapping[str, float], centre: float) -> float:
 
 @pytest.mark.slow
 def test_the_position_follows_from_the_drive_signal_alone(steps: tuple[ForceStep, ...]) -> None:
-    """Free run over 24.8 s: some millimetres of 83 mm (rms), the baseline ten times as many.
+    """Free run over 24.8 s: some millimetres of 83 mm (rms), the baseline several times as many.
 
-    What drifts in a free run is 0.1 N of friction that changed between the records; it ranks no models.
+    What drifts in a free run is 0.1 N of friction that changed between the records, and of the baseline 10 N s/m of a
+    viscous friction that stands for another law (26 or 43 mm); it ranks no models.
     """
     centre = float(np.mean(content("DATA_EMPS.mat")["qm"]))
     for name, most in (("DATA_EMPS.mat", 5.0), ("DATA_EMPS_PULSES.mat", 9.0)):
         before, after = (free_run(name, s.values, centre) for s in (steps[0], steps[len(NAMED) + 1]))
         assert after < most
-        assert before > 5.0 * after
+        assert before > 3.0 * after
 
 
 @pytest.mark.slow

@@ -537,4 +537,5 @@ def test_no_force_is_known_better_than_the_gain_of_its_channel() -> None:
     finding = diagnose(family(Axis(coulomb=20.0), seconds=14.0, delay=0.5 * STEP))
     (force,) = (p for c in finding.causes for p in c.parameters if p.name == "coulomb.force")
     assert 0.5 * (force.high - force.low) >= 0.0195 * force.value
-    assert finding.values["force_gain.error"] == pytest.approx(0.0, abs=1e-4)
+    # What friction and noise are expected to be moves it by a small part of its 1 %.
+    assert finding.values["force_gain.error"] == pytest.approx(0.0, abs=2e-3)
