@@ -185,8 +185,11 @@ class DriveRecordFamily(Abilities):
         raw = Channels.read(record, axis)
         if like is None:
             shared = _learn(raw, mass, gains, delay, lead, cutoff, tolerances or Tolerances())
-        elif like.model.resampler.step != raw.step:
-            raise InputError(f"sample interval {raw.step:g} s, {like.model.resampler.step:g} s of the other record")
+        elif abs(raw.step / like.model.resampler.step - 1.0) > RULES.same_step:
+            raise InputError(
+                f"sample interval {raw.step:.9g} s, {like.model.resampler.step:.9g} s of the other record; "
+                "records of one axis are compared at one sample interval"
+            )
         else:
             shared = like.model
         known = (b.motion for (f, _), b in raw.kept.items() if f == shared.resampler.cutoff)

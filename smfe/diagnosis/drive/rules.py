@@ -36,6 +36,7 @@ class DriveRules:
     near_rest: float = 0.2  # of the greatest speed, over which friction changes near rest at most
     smooth_sign: float = 2e-4  # v0 [m/s] of tanh(v/v0)
     longest_delay: float = 8e-3  # loop delay that is looked for [s]
+    same_step: float = 1e-4  # by which sample intervals of two records may differ: clocks, and digits of a time column
     closed_loop: float = 1.0 / 6.0  # share of the angle by which noise turns the force at the end of the band, 1 sigma
     # noise
     order: int = 10  # of the autoregression, at most

@@ -95,6 +95,17 @@ def test_what_the_drive_holds_at_rest_says_nothing_of_friction() -> None:
         assert a.name == b.name
 
 
+def test_records_of_one_axis_may_have_clocks_that_differ_by_what_clocks_differ() -> None:
+    made = record_of(Axis(coulomb=20.0, rest=0.3, seconds=16.0), 1)
+    first = DriveRecordFamily.from_record(made, cutoff=30.0)
+    near, far = (made.assign_coords(time=made["time"] * (1.0 + e)) for e in (5e-5, 1e-3))
+    second = DriveRecordFamily.from_record(near, like=first)
+    for a, b in zip(first.conditions, second.conditions, strict=True):
+        assert b.observed == pytest.approx(a.observed, abs=1e-3 * np.abs(a.observed).max())
+    with pytest.raises(InputError, match="records of one axis are compared at one sample interval"):
+        DriveRecordFamily.from_record(far, like=first)
+
+
 def test_presliding_is_the_integral_of_its_differential_equation() -> None:
     """dz/dx = (1 - z sign v)/d by small explicit steps, over two reversals; the axis that stops short does not slip."""
     t = np.arange(20_001) * 1e-4
