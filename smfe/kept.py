@@ -195,7 +195,16 @@ def forget(folder: Path) -> None:
 def written(folder: Path) -> list[str]:
     """Return the results that the last run wrote, by their names below the folder; other files there are the user's."""
     names = _read(folder / KEPT / WRITTEN).get("move")
-    return [str(name) for name in names if not str(name).startswith(KEPT)] if isinstance(names, list) else []
+    found = map(str, names) if isinstance(names, list) else ()
+    return [name for name in found if not name.startswith(KEPT) and inside(folder, name)]
+
+
+def inside(folder: Path, name: str) -> bool:
+    """Return whether a name leads to a place below a folder, links followed: a list of names may be another's."""
+    path = Path(name)
+    if not name or path.is_absolute() or path.drive or ".." in path.parts or "\0" in name:
+        return False
+    return (folder / path).parent.resolve().is_relative_to(folder.resolve())
 
 
 def forget_record(folder: Path) -> None:

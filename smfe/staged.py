@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import IO
 
 from process.errors import InputError
-from smfe.kept import KEPT, LOCK, WRITTEN, forget_record, written
+from smfe.kept import KEPT, LOCK, WRITTEN, forget_record, inside, written
 
 NEW = "new"
 """Folder, inside `KEPT`, of results that are not visible yet."""
@@ -91,6 +91,11 @@ def together(folder: Path, earlier: Iterable[str]) -> Iterator[Path]:
         Folder of the results, `held`.
     earlier : iterable of str
         Files below `folder` that are taken away where they are not written anew, beside what the last run wrote.
+
+    Raises
+    ------
+    InputError
+        When a link in the folder leads a result out of it; nothing is moved then.
     """
     stage = folder / KEPT / NEW
     shutil.rmtree(stage, ignore_errors=True)
@@ -102,9 +107,13 @@ def together(folder: Path, earlier: Iterable[str]) -> Iterator[Path]:
         yield stage
         made = sorted(p.relative_to(stage).as_posix() for p in stage.rglob("*") if p.is_file())
         for name in made:
+            if not inside(folder, name):
+                raise InputError(
+                    f"'{folder / name}' leads out of the folder of results through a link; put a folder in its place"
+                )
             _synchronise(stage / name)
         before = {*earlier, *written(folder), *(p.relative_to(folder).as_posix() for p in drawn)}
-        _write_moves(folder, {"move": made, "remove": sorted(before - set(made))})
+        _write_moves(folder, {"move": made, "remove": sorted(n for n in before - set(made) if inside(folder, n))})
     except BaseException:
         shutil.rmtree(stage, ignore_errors=True)
         raise
@@ -122,16 +131,20 @@ def finish(folder: Path) -> None:
     except (ValueError, KeyError, TypeError):  # never complete: nothing was moved
         journal.unlink()
         return
-    forget_record(folder)
     stage = folder / KEPT / NEW
+    # A folder may come from somebody else: what it asks to move or to delete stays inside it, or nothing is done.
+    if stage.is_symlink() or not all(inside(folder, name) and inside(stage, name) for name in (*made, *gone)):
+        journal.unlink()
+        return
+    forget_record(folder)
     for name in made:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileNotFoundError):
             os.replace(stage / name, folder / name)
     for name in gone:
         (folder / name).unlink(missing_ok=True)
-    for inside in {folder, *((folder / name).parent for name in made)}:
-        _synchronise(inside)
+    for place in {folder, *((folder / name).parent for name in made)}:
+        _synchronise(place)
     os.replace(journal, folder / KEPT / WRITTEN)
     shutil.rmtree(stage, ignore_errors=True)
 

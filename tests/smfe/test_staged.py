@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import resource
 import subprocess
@@ -16,7 +17,7 @@ import pytest
 from process import _kernel_cache
 from process.errors import InputError
 from smfe import staged
-from smfe.kept import KEPT, aside, written
+from smfe.kept import KEPT, WRITTEN, aside, written
 from smfe.results import attempt
 from smfe.staged import finish, held, together
 
@@ -108,6 +109,23 @@ def test_a_list_of_moves_that_was_never_complete_moves_nothing(tmp_path: Path) -
     (tmp_path / KEPT / staged.MOVES).write_text('{"move": ["a.csv", ')
     finish(tmp_path)
     assert results(tmp_path) == OLD
+
+
+@pytest.mark.parametrize("name", ["../mine.csv", "ABSOLUTE", "link/mine.csv", ""])
+def test_a_folder_from_somebody_else_moves_and_deletes_nothing_outside_of_it(tmp_path: Path, name: str) -> None:
+    folder, mine = tmp_path / "results", tmp_path / "mine.csv"
+    write(folder, a="old", b="old")
+    mine.write_text("mine")
+    (folder / "link").symlink_to(tmp_path)
+    named = str(mine) if name == "ABSOLUTE" else name
+    for moves in ({"move": [], "remove": [named]}, {"move": [named], "remove": []}):
+        (folder / KEPT / staged.NEW).mkdir(exist_ok=True)
+        (folder / KEPT / staged.NEW / "mine.csv").write_text("theirs")
+        (folder / KEPT / staged.MOVES).write_text(json.dumps(moves))
+        finish(folder)
+        (folder / KEPT / WRITTEN).write_text(json.dumps(moves))
+        write(folder, a="new")
+        assert mine.read_text() == "mine"
 
 
 def write_too_much(folder: Path) -> None:
