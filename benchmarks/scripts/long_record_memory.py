@@ -1,4 +1,4 @@
-"""Peak memory of a sweep identified from one long record: ``python benchmarks/long_record_memory.py 0.1 10``.
+"""Peak memory of a sweep identified from one long record: ``python benchmarks/scripts/long_record_memory.py 0.1 10``.
 
 For each size [GB] a record of seven channels in double precision at 51.2 kHz is written (deleted afterwards; it needs
 as much free disk), then identified by a process of its own as a sweep of one axis in the band from 20 to 80 Hz: header,

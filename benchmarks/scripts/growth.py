@@ -1,4 +1,4 @@
-"""How cost grows: ``python benchmarks/growth.py campaigns 60 --jobs 1 2``, ``python benchmarks/growth.py one 8 16 32``.
+"""How cost grows: ``python benchmarks/scripts/growth.py campaigns 60 --jobs 1 2``, or ``one 8 16 32``.
 
 ``campaigns N``: N generated campaigns (one hammer measurement in x and y, two cutting tests, lobes at 91 speeds), run
 by each number of jobs into an empty folder; seconds by the clock and of CPU, and the speed-up. On a machine that others
@@ -22,7 +22,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 
 from truth.archive import visits, write_archive, write_campaign
 

@@ -1,7 +1,7 @@
 """What it costs to read files in a process of their own: CPU seconds of both processes, against reading them here.
 
-Run ``python benchmarks/reading_apart.py [SAMPLES]``: a table of the least of seven rounds each, in turns, of a record
-with three channels; and what starting the process costs, once.
+Run ``python benchmarks/scripts/reading_apart.py [SAMPLES]``: a table of the least of seven rounds each, in turns, of a
+record with three channels; and what starting the process costs, once.
 """
 
 import os
