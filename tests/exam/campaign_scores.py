@@ -49,6 +49,8 @@ class Said:
     estimates: tuple[tuple[str, float, float | None, float | None], ...] = ()
     truths: tuple[tuple[str, float], ...] = ()
     reason: str = ""
+    code: str = ""
+    """Which state of the code said so."""
 
     @staticmethod
     def read(line: str) -> Said:
@@ -253,10 +255,12 @@ TITLES = {
 }
 
 
-def page(answers: Sequence[Said], trial: bool = False) -> str:
-    """The table for the documentation."""
+def page(answers: Sequence[Said], trial: bool = False, code: str = "") -> str:
+    """The table for the documentation; `code`: the state of the code as it is."""
     families = [f for f in TITLES if any(a.case.family == f for a in answers)]
     lines = [f"{len(answers)} campaigns were sat" + (" (a trial: seeds that were looked at)" if trial else "") + "."]
+    if older := sum(a.code != code for a in answers):
+        lines[0] += f" {older} of the answers were given by an earlier state of the code."
     lines += ["", "### All families", "", *_table(answers)]
     for family in families:
         mine = [a for a in answers if a.case.family == family]

@@ -1,9 +1,10 @@
 """The exam through campaign files: what is said of a folder that an independent generator wrote.
 
 ``python tests/exam/campaigns.py docs/exam_campaigns_table.md`` sits it and writes the table; `make exam-campaigns`
-calls it. Answers are kept in ``.cache/exam`` as they come, so that an exam that was interrupted goes on; ``--afresh``
-forgets them: after every change of the diagnosis. A diagnosis is timed by the CPU time of its one process, and given
-up after ``--patience`` seconds of it.
+calls it. Answers are kept as they come, each with the state of the code that gave it, so that an exam that was
+interrupted goes on, and the table says how many are of the code as it is; ``--afresh`` forgets them, ``--stale``
+asks those of an earlier code again. A diagnosis is timed by the CPU time of its one process, and given up after
+``--patience`` seconds of it.
 
 In the part "unknown" the true cause is taken out of the catalogue, of what was declared too, with those that do the
 same to what is measured (`Hiding.alike`): there alone anything else than the file is touched.
@@ -12,6 +13,7 @@ same to what is measured (`Hiding.alike`): there alone anything else than the fi
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import os
 import resource
@@ -24,6 +26,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
 from unittest import mock
 
@@ -32,6 +35,7 @@ if __name__ == "__main__":
 
 from truth.imperfect.families import FAMILIES, draw
 
+import smfe
 from exam.campaign_scores import Case, Said, page
 from exam.subjects import Without
 from process.errors import InputError
@@ -40,8 +44,11 @@ from smfe.commands import diagnose as command
 SEEDS = {"null": 1_000, "effect": 20_000, "unknown": 40_000, "two": 60_000, "outside": 80_000, "sizes": 90_000}
 """First seed of each part of a trial exam, whose failures are looked at and repaired."""
 
-FRESH = 5_000_000
+FRESH = 6_000_000
 """What is added for the exam that counts: seeds that nothing was tuned on."""
+
+KEPT = Path("tests/exam/answers/campaigns.jsonl")
+"""Answers of the exam that counts: it takes longer than one day's work, so they go with the repository."""
 
 LADDER = {
     "cutting": ("runout", "coefficients"),
@@ -109,7 +116,19 @@ def _said(case, hidden, ids, verdict, error, seconds, found) -> Said:
         tuple((n, *held) for n, *held in known if n in hidden.truths),
         tuple((n, float(v)) for n, v in hidden.truths.items()),
         error or (found.get("reason") or "")[:200],
+        code(),
     )
+
+
+@cache
+def code() -> str:
+    """Return what tells this state of the diagnosis from any other: a hash of its sources and of the physics below."""
+    found = hashlib.sha256()
+    root = Path(smfe.__file__).parents[1]
+    for package in ("process", "stability", "smfe/diagnosis"):
+        for path in sorted((root / package).rglob("*.py")):
+            found.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return found.hexdigest()[:12]
 
 
 def _cpu() -> float:
@@ -237,21 +256,26 @@ def main() -> None:
     parser.add_argument("--patience", type=float, default=300.0, help="CPU seconds of one diagnosis")
     parser.add_argument("--minutes", type=float, default=1e9, help="begin nothing new after so many")
     parser.add_argument("--trial", action="store_true", help="seeds on which the diagnosis may be tuned")
-    parser.add_argument("--afresh", action="store_true")
+    again = parser.add_mutually_exclusive_group()
+    again.add_argument("--afresh", action="store_true", help="forget every answer")
+    again.add_argument("--stale", action="store_true", help="forget the answers of an earlier state of the code")
     parser.add_argument("--material", type=int, default=0, help="write the table of sizes, from so many campaigns each")
     given = parser.parse_args()
     if given.material:
         given.out.write_text(sizes(given.families.split(","), given.material), encoding="utf-8")
         return
-    kept = Path(f".cache/exam/campaigns{'_trial' if given.trial else ''}.jsonl")
+    kept = Path(".cache/exam/campaigns_trial.jsonl") if given.trial else KEPT
     if given.afresh:
         kept.unlink(missing_ok=True)
+    elif given.stale and kept.exists():
+        lines = [line for line in kept.read_text().splitlines() if Said.read(line).code == code()]
+        kept.write_text("".join(f"{line}\n" for line in lines))
     parts, end = given.parts.split(","), time.monotonic() + 60.0 * given.minutes
     each = [cases(f, given.nulls, given.seeds, not given.trial, given.sizes) for f in given.families.split(",")]
     mixed = [c for _, c in sorted(((i / len(own), c) for own in each for i, c in enumerate(own)), key=lambda x: x[0])]
     every = [case for case in mixed if case.part in parts]
     answers = sit(every, kept, given.jobs, given.patience, lambda: time.monotonic() > end)
-    given.out.write_text(page(answers, given.trial), encoding="utf-8")
+    given.out.write_text(page(answers, given.trial, code()), encoding="utf-8")
 
 
 if __name__ == "__main__":

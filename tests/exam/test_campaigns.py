@@ -9,7 +9,7 @@ from truth.imperfect.bench import Answer
 from truth.imperfect.families import FAMILIES
 
 from exam.campaign_scores import Case, Said, page, scores
-from exam.campaigns import OutOfPatienceError, cases, examine, patient, sit
+from exam.campaigns import OutOfPatienceError, cases, code, examine, patient, sit
 from exam.campaigns import _said as kept_of
 
 
@@ -86,6 +86,13 @@ def test_the_page_has_a_row_for_every_effect_of_every_family() -> None:
     assert f"{len(every)} campaigns were sat" in text
 
 
+def test_the_page_says_how_many_answers_an_earlier_state_of_the_code_gave() -> None:
+    every = [replace(truthful(c), code="new") for c in cases("cutting", 3, 1, fresh=False)]
+    assert "earlier" not in page(every, code="new")
+    every[:2] = [replace(a, code="old") for a in every[:2]]
+    assert " 2 of the answers were given by an earlier state of the code." in page(every, code="new")
+
+
 @pytest.mark.slow
 def test_a_campaign_is_written_diagnosed_and_kept(tmp_path: Path) -> None:
     kept = tmp_path / "answers.jsonl"
@@ -96,6 +103,7 @@ def test_a_campaign_is_written_diagnosed_and_kept(tmp_path: Path) -> None:
     again = sit(every, kept, 1, 100.0)
     assert sorted(again, key=str) == sorted(said, key=str)
     assert len(kept.read_text().splitlines()) == 2
+    assert {a.code for a in again} == {code()}
 
 
 @pytest.mark.slow
