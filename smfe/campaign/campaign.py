@@ -833,7 +833,7 @@ def report(file: Path, found: list[tuple[Loc, str]]) -> str:
 
 def _build(file_path: Path, file: schema.CampaignFile[Any]) -> Campaign:
     base = _declared(file.channels)
-    machine = file.machine.build() if file.machine else None
+    machine = file.machine_model()
     own = (Model(MACHINE, machine),) if isinstance(machine, ModalModel) else ()
     return Campaign(
         path=file_path,

@@ -330,6 +330,16 @@ class OpenMachineTable(MachineTable):
         """Return the axes that carry the modes of the baseline; none where the machine has modes of its own."""
         return {name: axis.given() for name, axis in self.axis.items()} if self.build() is None else {}
 
+    def carrying(self, modes: ModalModel) -> Machine:
+        """Return the machine whose axes carry modes that were found with its slides held.
+
+        Raises
+        ------
+        InputError
+            When a gain is not known, or the momentum of a mode.
+        """
+        return Machine(_on_slides(self, modes), {name: _feed_axis(name, axis) for name, axis in self.axis.items()})
+
 
 def is_model(keys: Iterable[str]) -> bool:
     """Return whether the keys of a ``[machine]`` say what it is made of, and not its name and feed alone."""
@@ -382,7 +392,6 @@ def _modal(modes: Sequence[ModeTable], where: str = "") -> ModalModel:
 
 
 def _structure(table: MachineTable, modes: Sequence[ModeTable], where: str = "") -> Structure:
-    hosts = {name: axis.host.build() for name, axis in table.axis.items() if axis.host is not None}
     if modes:
         springs = [name for name, axis in table.axis.items() if axis.stiffness is not None]
         if springs:
@@ -393,15 +402,24 @@ def _structure(table: MachineTable, modes: Sequence[ModeTable], where: str = "")
         modal = _modal(modes, where)
         if not table.axis:
             return free_modes(modal.frequency, modal.damping, modal.mass, modal.direction, {})
-        masses = {name: axis.moving_mass for name, axis in table.axis.items()}
-        coupling = {name: axis.coupling for name, axis in table.axis.items() if axis.coupling is not None}
-        return hosted(released_modes(modal, masses, table.tip_mass, coupling), hosts)
+        return _on_slides(table, modal)
     coupled = [name for name, axis in table.axis.items() if axis.coupling is not None]
     if coupled:
         raise InputError(
             f"axis.{coupled[0]}.coupling is the momentum of modes along the axis, and there are no modes; leave it out"
         )
-    return hosted(two_mass_axes({name: _two_masses(name, axis) for name, axis in table.axis.items()}), hosts)
+    return hosted(two_mass_axes({name: _two_masses(name, axis) for name, axis in table.axis.items()}), _hosts(table))
+
+
+def _on_slides(table: MachineTable, modal: ModalModel) -> Structure:
+    """Return the structure whose modes, found with the slides held, ride on them."""
+    masses = {name: axis.moving_mass for name, axis in table.axis.items()}
+    coupling = {name: axis.coupling for name, axis in table.axis.items() if axis.coupling is not None}
+    return hosted(released_modes(modal, masses, table.tip_mass, coupling), _hosts(table))
+
+
+def _hosts(table: MachineTable) -> dict[str, Host]:
+    return {name: axis.host.build() for name, axis in table.axis.items() if axis.host is not None}
 
 
 def _two_masses(name: str, axis: AxisTable) -> Drive:
@@ -414,11 +432,9 @@ def _two_masses(name: str, axis: AxisTable) -> Drive:
 
 
 def _feed_axis(name: str, axis: AxisTable) -> FeedAxis:
-    servo = {called: table.build() for called, table in axis.controllers.items()} or None
-    if axis.friction is None:
-        return FeedAxis(servo)
     with placed(f"axis.{name}"):
-        return FeedAxis(servo, axis.friction.build())
+        servo = {called: table.build() for called, table in axis.controllers.items()} or None
+        return FeedAxis(servo) if axis.friction is None else FeedAxis(servo, axis.friction.build())
 
 
 def _joint(table: MachineTable, number: int, joint: JointTable) -> MountedJoint:

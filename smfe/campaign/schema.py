@@ -14,6 +14,7 @@ from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.drive.servo import Servo
 from process.errors import InputError
+from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from smfe.campaign import quantities as q
 from smfe.campaign.machine import (
@@ -536,11 +537,40 @@ class CampaignFile(Table, Generic[B]):
     tune: TuneTable | None = None
     tolerances: TolerancesTable | None = None
 
+    def machine_model(self) -> Machine | ModalModel | None:
+        """Return the machine of ``[machine]``; None where nothing says what it is made of."""
+        return None if self.machine is None else self.machine.build()
+
 
 class ModesFile(CampaignFile[ModesBaseline]):
     """The whole file where the baseline has modes: the axes of its machine may carry them."""
 
     machine: OpenMachineTable | None = None
+
+    @model_validator(mode="after")
+    def _asked_machine(self) -> ModesFile:
+        self.machine_model()
+        return self
+
+    def machine_model(self) -> Machine | ModalModel | None:
+        """Return the machine; its axes carry the modes of the ``[[model]]`` that the baseline names."""
+        own = super().machine_model()
+        if own is not None or self.machine is None or self.baseline is None or not self.machine.axis:
+            return own
+        asked = any(MACHINE in lobes.measurements for lobes in self.lobes)
+        modes = next((m for m in self.model if m.name == self.baseline.source), None)
+        if modes is None and asked:
+            raise InputError(
+                f"lobes of the machine are asked for, and its modes are those of '{self.baseline.source}', which only "
+                "a diagnosis identifies: name a [[model]] in from of [baseline], or ask for these lobes in the "
+                "campaign of the extended model that `smfe diagnose` writes"
+            )
+        try:
+            return None if modes is None else self.machine.carrying(modes.build())
+        except InputError:
+            if asked:
+                raise
+            return None
 
 
 def file_table(raw: Mapping[str, Any]) -> type[CampaignFile[Any]]:

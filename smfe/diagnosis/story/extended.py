@@ -38,6 +38,7 @@ from smfe.diagnosis.frf.modes import ModalFrfs
 from smfe.diagnosis.inference.problem import Condition, Family, Values
 from smfe.diagnosis.judgement.finding import Finding
 from smfe.diagnosis.machine.axes import key as key_of
+from smfe.diagnosis.machine.dynamics import bounded
 from smfe.diagnosis.machine.family import MachineOfAxes
 from smfe.diagnosis.story.channels import mended
 from smfe.diagnosis.story.millimetres import coefficients_found
@@ -206,6 +207,11 @@ def _put_axis(draft: _Draft, axis: str, table: Mapping[str, Any], controllers: M
     named = {name or "control": gains for name, gains in controllers.items()}
     axes[axis] = own | ({"controllers": named} if named else {})
     draft.tables["machine"] = {**machine, "axis": axes}
+    _ask_for_machine(draft)
+
+
+def _ask_for_machine(draft: _Draft) -> None:
+    """Ask for the lobes of the machine at the cuts whose lobes are asked for."""
     asked = draft.tables.get("lobes", [])
     if asked and not any("machine" in lobes.get("measurements", []) for lobes in asked):
         draft.tables["lobes"] = [
@@ -280,14 +286,36 @@ def found_modes(family: ModalFrfs, values: Values) -> ModalModel:
     Springs between the axes turn and shift the modes: those of ``(I + S) q = lambda M q`` in coordinates that are
     scaled to unit stiffness, with the damping that each then has on the diagonal.
     """
+    return _modes_and_turn(family, values)[0]
+
+
+def momentum_of(family: MachineOfAxes, values: Values) -> Real:
+    """Return the momentum of each of `found_modes` along each axis for a unit of its velocity [kg], (axes, modes).
+
+    Those that stand for what is missing in the band or lies above it ride on no slide.
+    """
+    model, turn = _modes_and_turn(family, values)
+    free = [[values.get(f"momentum_{a}_{r + 1}", 0.0) for r in range(len(turn))] for a in family.axes]
+    mass = np.array([values[f"moving_mass_{a}"] for a in family.axes])
+    own = family.changed(_somewhere(family), values).frequency
+    along = bounded(np.array(free)) * np.sqrt(mass)[:, None] / (2.0 * np.pi * np.array(own)) @ turn
+    return np.pad(along, ((0, 0), (0, model.frequency.size - turn.shape[1])))
+
+
+def _somewhere(family: ModalFrfs) -> Condition:
+    """Return how the machine stands in the extended model: where it was first measured, at the session's begin."""
     settings: dict[str, float | str] = {"sensor": "laser", "order": 0.0}
     place = next((float(c.settings["position"]) for c in family.conditions if "position" in c.settings), None)
-    if place is not None:
-        settings["position"] = place
-    m = family.changed(Condition("modes", settings), values)
+    return Condition("modes", settings if place is None else {**settings, "position": place})
+
+
+def _modes_and_turn(family: ModalFrfs, values: Values) -> tuple[ModalModel, Real]:
+    """Return the modes, and what a unit of each is in coordinates of unit stiffness, (own modes, modes in the band)."""
+    m = family.changed(_somewhere(family), values)
     count = len(m.frequency)
     f, z, k = (np.array(x) for x in (m.frequency, m.damping, m.stiffness))
     u = np.array(m.direction).reshape(count, 3)
+    turn = np.diag(np.sqrt(k))
     if m.springs:
         shape, w = u / np.sqrt(k)[:, None], 2.0 * np.pi * f
         square, q = linalg.eigh(np.eye(count) + np.array(m.springs).reshape(count, count), np.diag(1.0 / w**2))
@@ -297,6 +325,7 @@ def found_modes(family: ModalFrfs, values: Values) -> ModalModel:
         f, k, u = turns / (2.0 * np.pi), square, q.T @ shape
         size = np.linalg.norm(u, axis=1)
         u, k = u / size[:, None], k / size**2
+        turn = q / size
     if m.mode:
         along = np.array(m.mode[:3])
         size = float(np.linalg.norm(along))
@@ -309,15 +338,20 @@ def found_modes(family: ModalFrfs, values: Values) -> ModalModel:
             if s > 0.0:
                 f, z = np.append(f, _STIFF * float(f.max())), np.append(z, _STIFF_DAMPING)
                 k, u = np.append(k, 1.0 / s), np.vstack([u, v])
-    return ModalModel(f, np.minimum(z, HIGHEST_DAMPING), k, u)
+    return ModalModel(f, np.minimum(z, HIGHEST_DAMPING), k, u), turn
 
 
 def _write_axes(draft: _Draft, campaign: Campaign, family: MachineOfAxes, values: Values) -> None:
-    """Masses, gains, dead times and friction of the axes that the modes ride on, beside the modes themselves."""
+    """Masses, gains, dead times and friction of the axes that the modes ride on, beside the modes themselves.
+
+    With the momentum of the modes along them that is a machine, whose lobes stand beside those of measurements.
+    """
     machine = dict(draft.tables.get("machine", {}))
     axes = dict(machine.get("axis", {}))
+    momentum = dict(zip(family.axes, momentum_of(family, values), strict=True))
     for a, declared in family.axes.items():
         own = dict(axes.get(a, {})) | {"moving_mass": _text(values[f"moving_mass_{a}"], "kg")}
+        own["coupling"] = [_text(x, "kg") for x in momentum[a]]
         own["controllers"] = {
             name: {
                 "Kp": _text(values[key_of("Kp", a, name)], "N s/m"),
@@ -329,7 +363,9 @@ def _write_axes(draft: _Draft, campaign: Campaign, family: MachineOfAxes, values
         }
         if not own["controllers"]:
             del own["controllers"]
-        if declared.friction is not None:
+        if declared.friction is None:
+            own["friction"] = {"law": "viscous", "sigma": _text(values[f"viscous_{a}"], "N s/m")}
+        else:
             apart, grown = values.get(f"friction_asymmetry_{a}", 0.0), 1.0 + values.get(f"friction_{a}", 0.0)
             mean = 0.5 * (declared.friction[0].viscous + declared.friction[1].viscous)
             sides = [
@@ -347,6 +383,7 @@ def _write_axes(draft: _Draft, campaign: Campaign, family: MachineOfAxes, values
                 draft.held |= {c.key for c in family.causes if c.id == "friction_asymmetry"}
         axes[a] = own
     draft.tables["machine"] = {**machine, "axis": axes}
+    _ask_for_machine(draft)
 
 
 def _put_model(draft: _Draft, name: str, model: ModalModel) -> None:

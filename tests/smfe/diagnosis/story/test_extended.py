@@ -320,6 +320,64 @@ friction = { law = "viscous", sigma = "200 N s/m" }
     assert max(abs(r.after_mm / r.before_mm - 1.0) for r in told) > 0.02
 
 
+RIDES = """[machine.axis.x]
+moving_mass = "400 kg"
+controllers = { K2 = { Kp = "120000 N s/m", Ti = "11 ms", Kv = "45 1/s", delay = "1 ms" } }
+friction = { law = "coulomb_viscous", coulomb = "40 N", sigma = "3000 N s/m" }
+[machine.axis.y]
+moving_mass = "600 kg"
+controllers = { K2 = { Kp = "160000 N s/m", Ti = "12 ms", Kv = "40 1/s", delay = "1 ms" } }
+"""
+
+
+def riding(given: Campaign) -> MachineOfAxes:
+    """Two modes that ride on both axes of a campaign."""
+    declared = {
+        name: DeclaredAxis(
+            a.moving_mass,
+            {n: Gains(*g) for n, g in a.controllers.items()},
+            None if a.friction is None else sides_of(a.friction),
+        )
+        for name, a in given.baseline.axes.items()
+    }
+    way = np.array([[1.0, 0.2, 0.0], [-0.1, 1.0, 0.1]])
+    two = ModalModel(np.array([60.0, 85.0]), np.array([0.04, 0.03]), np.array([2e7, 3e7]), way)
+    return MachineOfAxes(two, (condition("hammer_500"),), axes=declared)
+
+
+@pytest.mark.parametrize("springs", [0.0, 0.15])
+def test_lobes_of_the_axes_that_carry_the_modes_are_those_that_the_finding_states(
+    tmp_path: Path, springs: float
+) -> None:
+    """Modes, their momentum along each axis and the axes are one machine, whose lobes `smfe lobes` computes."""
+    asked = ASKED.replace('["maker"]', '["hammer_500"]\ncontroller = "K2"').replace("zero_order", "operating_point")
+    given = campaign(tmp_path, CHANNELS, TOOL, MODES, RIDES, HIT, asked)
+    family = riding(given)
+    values = {"Kp_x_K2": 70000.0, "Ti_y_K2": 0.02, "momentum_x_1": 0.5, "momentum_y_1": -0.2, "momentum_y_2": 0.4}
+    values |= {"viscous_y": 5000.0, "coupling_12": springs}
+    finding = found(family, "servo_gains", **values)
+    whole = read(tmp_path, given, family, finding)
+    (own,) = (r for r in whole.lobes if r.measurements == ("machine",))
+    (result,) = all_lobes(replace(whole, lobes=(own,)), {}, silent)
+    depths, why = depths_of(given, family)
+    assert depths is not None, why
+    told = stable_depths(given, depths, finding.values)
+    after = [r.after_mm for r in told if r.where == given.lobes[0].name]
+    assert result.lobes["limit_depth"].values == pytest.approx(after, rel=0.02)
+    assert max(abs(r.after_mm / r.before_mm - 1.0) for r in told) > 0.05
+
+
+def test_lobes_of_axes_that_carry_measured_modes_are_asked_of_the_extended_model(tmp_path: Path) -> None:
+    asked = ASKED.replace('"maker"', '"machine"')
+    measured = '[baseline]\nfrom = "hammer_500"\n'
+    with pytest.raises(InputError, match="only a diagnosis identifies"):
+        campaign(tmp_path, CHANNELS, TOOL, measured, RIDES, HIT, asked)
+    open_gain = RIDES.replace('Kp = "120000 N s/m", ', "")
+    with pytest.raises(InputError, match=r"axis\.x: 'Kp' missing"):
+        campaign(tmp_path, CHANNELS, TOOL, MODES, open_gain, HIT, asked)
+    assert campaign(tmp_path, CHANNELS, TOOL, MODES, open_gain, HIT).machine_model is None
+
+
 def test_records_of_a_public_data_set_keep_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if not (DATA / "milling_forces_ubc").is_dir():
         pytest.skip(f"{DATA} is not here; set SMFE_DATA to the folder of public data")
