@@ -118,6 +118,13 @@ class Abilities(Protocol):
         whole = 0.0 if condition.observed is None else float(condition.observed @ condition.observed)
         return float(misfit @ misfit) / whole if whole > 0.0 else math.inf
 
+    def squared_change(self, condition: Condition, before: Values, after: Values, misfit: Real) -> float:
+        """Return the square of the relative size of what lies between two predictions, `misfit` apart [1].
+
+        It may have a part that is not compared with data. Here that of the misfit alone.
+        """
+        return self.squared_size(condition, misfit)
+
     @property
     def each_counts(self) -> bool:
         """Whether a misfit matters that is large in one condition alone; else its rms over all of them counts."""

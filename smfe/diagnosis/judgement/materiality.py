@@ -62,12 +62,12 @@ EVERYTHING = Worth()
 
 def predicted_size(model: Model, rows: Sequence[int], before: Real, after: Real) -> float:
     """Return the size of the difference between two predictions [1]; infinite where there is none."""
-    found = []
+    found, values = [], (model.values(before), model.values(after))
     for r in rows:
         a, b = model.predict(r, before), model.predict(r, after)
         if a is None or b is None:
             return math.inf
-        found.append(model.family.squared_size(model.conditions[r], b - a))
+        found.append(model.family.squared_change(model.conditions[r], *values, b - a))
     return _together(model, rows, found)
 
 
