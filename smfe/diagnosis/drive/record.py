@@ -275,13 +275,46 @@ class DriveRecordFamily(Abilities):
             return (height / condition.data.whole) ** 2 / self._share(condition)
         if not isinstance(condition.data, ForceData):
             return super().squared_size(condition, misfit)
-        data, whitener = condition.data, self.model.whitener
+        force, whole = self._squares(condition.data, misfit)
+        return force / whole if whole > 0.0 else math.inf
+
+    def squared_change(self, condition: Condition, before: Values, after: Values, misfit: Real) -> float:
+        """Return the same of what lies between two forces, with what the low-pass takes away of it.
+
+        A ripple at full speed, or friction that changes within a reversal, acts though it is beyond the band.
+        """
+        data = condition.data
+        if not isinstance(data, ForceData):
+            return self.squared_size(condition, misfit)
+        m = data.motion
+        moves = np.where(m.standing, 0.0, 1.0)
+        change = moves * (self._missing(m, after) - self._missing(m, before))
+        margin = self.model.resampler.margin
+        inner = slice(margin, m.time.size - margin)
+        # What the low-pass passes and what it takes away are orthogonal; where the axis stands neither is anything.
+        passed = self.model.resampler(change)
+        beyond = passed.size * float(np.mean(np.square(change[inner])) - np.mean(np.square(passed)))
+        inside, whole = self._squares(data, misfit)
+        return (inside + max(beyond, 0.0)) / whole if whole > 0.0 else math.inf
+
+    def _squares(self, data: ForceData, misfit: Real) -> tuple[float, float]:
+        """Return the squares of the force that a whitened misfit is [N2], and those of the drive force of its move."""
+        whitener = self.model.whitener
         white = np.zeros(data.used.size)
         white[data.used] = misfit * data.noise
         force = signal.lfilter([whitener.sigma], [1.0, *whitener.coefficients], white)
         acting = data.force if data.acting is None else data.acting
         whole = float(np.sum(np.square(acting[whitener.order :][data.used])))
-        return float(np.sum(np.square(force[data.used]))) / whole if whole > 0.0 else math.inf
+        return float(np.sum(np.square(force[data.used]))), whole
+
+    def _missing(self, m: Motion, values: Values) -> Real:
+        """Return the forces of the causes [N], but for that of a mode: beyond the band it is noise of the encoder."""
+        total = np.zeros_like(m.time)
+        for term in self.model.terms:
+            acts = any(values.get(p.name, p.start) != p.start for p in term.cause.parameters)
+            if acts and term.cause.id != "missing_mode":
+                total = total + term.force(m, values)
+        return total
 
     def _share(self, condition: Condition) -> float:
         """Return the share that the data of a condition and of all like it have in the squares of all data [1]."""

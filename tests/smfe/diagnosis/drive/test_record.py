@@ -271,6 +271,23 @@ def test_other_gains_are_found_from_the_control_law() -> None:
     assert found["servo_gains.velocity"] == pytest.approx(-0.05, abs=1e-3)
 
 
+def test_a_ripple_beyond_the_band_counts_by_its_force() -> None:
+    """Of 5 N over 1 mm a band of 20 Hz sees little at speed; it counts by its rms all the same."""
+    rippled = family(Axis(coulomb=20.0), seconds=24.0, delay=0.5 * STEP, lead=1e-3, cutoff=20.0)
+    null = null_values(rippled)
+    wave = null | {"ripple.cosine": 5.0}
+    seen, worth, whole = np.zeros(3)
+    for c in rippled.conditions:
+        assert isinstance(c.data, ForceData)
+        misfit = rippled.predict(c, wave) - rippled.predict(c, null)
+        square = float(np.sum(np.square(c.data.force)))
+        seen += square * rippled.squared_size(c, misfit)
+        worth += square * rippled.squared_change(c, null, wave, misfit)
+        whole += c.data.force.size
+    assert np.sqrt(seen / whole) < 0.6 * 5.0 / np.sqrt(2.0)
+    assert np.sqrt(worth / whole) == pytest.approx(5.0 / np.sqrt(2.0), rel=0.15)
+
+
 def test_what_a_record_lacks_is_said() -> None:
     t = np.arange(9_000) * STEP
     channels = {"encoder_position": {"x": 0.01 * np.sin(t)}}
