@@ -47,15 +47,35 @@ class ControlLaw:
         """Return the lag of the velocity [s] behind the newest encoder value: half a step and the mean tap."""
         return step * (0.5 + float(self.taps @ np.arange(self.taps.size)))
 
+    def uncertainty(self, whole: float) -> float:
+        """Return the relative standard deviation of the gains that the law shows, of a force with an rms `whole` [N].
+
+        What is left of the force is not white: a command between the samples of the log, hum, clocks that are apart. It
+        may look like a column, and the gains are off by a few times its share of the force.
+        """
+        return max(RULES.told, RULES.off * self.noise / whole)
+
+    def tells(self, whole: float) -> bool:
+        """Whether the law shows gains that can be held against the documented ones, of a force with an rms [N]."""
+        velocity, both, product = self._factors
+        return self.uncertainty(whole) <= RULES.vague and velocity > 0.0 and both > 0.0 and product >= 0.0
+
+    @property
+    def _factors(self) -> tuple[float, float, float]:
+        """Kp, and the factors of error and of its integral over it."""
+        velocity = -float(self.whole[1 : 1 + RULES.taps].sum())
+        both, product = self.whole[0] / velocity, self.whole[1 + RULES.taps] / velocity
+        return velocity, float(both), float(product)
+
     @property
     def found(self) -> Gains:
         """Gains that the record shows; of the two that an integral part allows, the nearer to the documented one."""
-        velocity = -float(self.whole[1 : 1 + RULES.taps].sum())
         # F = Kp [e_v + int e_v/Ti] with e_v = Kv e + ...: factors Kp (Kv + 1/Ti) of e and Kp Kv/Ti of its integral.
-        both, product = self.whole[0] / velocity, self.whole[1 + RULES.taps] / velocity
+        velocity, both, product = self._factors
         apart = math.sqrt(max(both**2 - 4.0 * product, 0.0))
         documented = self.gains.position
-        return Gains(min((0.5 * (both + apart), 0.5 * (both - apart)), key=lambda k: abs(k - documented)), velocity)
+        either = [k for k in (0.5 * (both + apart), 0.5 * (both - apart)) if k > 0.0]
+        return Gains(min(either, key=lambda k: abs(k - documented), default=both), velocity)
 
     def command(self, reference: Real, position: Real, step: float) -> Real:
         """Return the command [N] of the law as it was found, shape (n,)."""

@@ -99,7 +99,9 @@ class _LawData:
 
 @dataclass(frozen=True)
 class _GainData:
-    """Gains that an exact control law shows over the documented ones, less one, in units of `RULES.told`."""
+    """Gains that a control law shows over the documented ones, less one, in units of their standard deviation `sd`."""
+
+    sd: float
 
 
 @dataclass(frozen=True)
@@ -244,7 +246,9 @@ class DriveRecordFamily(Abilities):
         if isinstance(condition.data, _LawData):
             return values.get("hidden.command", 0.0) * condition.data.signs / condition.data.noise
         if isinstance(condition.data, _GainData):
-            return np.array([values["servo_gains.velocity"], values["servo_gains.position"]]) / RULES.told
+            # The command is known no better than the channel that shows it: its gain is that of the velocity, too.
+            velocity = (1.0 + values["servo_gains.velocity"]) * (1.0 + values.get("force_gain.error", 0.0)) - 1.0
+            return np.array([velocity, values["servo_gains.position"]]) / condition.data.sd
         raise InputError(f"condition {condition.name} is not one of this family")
 
     def noises(self, columns: Sequence[tuple[Condition, Real]]) -> list[Real]:
@@ -268,7 +272,7 @@ class DriveRecordFamily(Abilities):
     def squared_size(self, condition: Condition, misfit: Real) -> float:
         """Return the squares of the force that a whitened misfit is, over those of the drive force of its move [1]."""
         if isinstance(condition.data, _GainData):
-            return float(np.mean(np.square(misfit))) * RULES.told**2
+            return float(np.mean(np.square(misfit))) * condition.data.sd**2
         if isinstance(condition.data, _LawData):
             # A command that comes and goes counts by its height, in however few moves it does.
             height = float(np.sqrt(np.mean(np.square(misfit)))) * condition.data.noise
@@ -385,7 +389,7 @@ def _learn(
         given = without_line(raw.reference, raw.position, raw.force, raw.step, line)
         law = fit_control_law(raw.reference, raw.position, given, raw.step, gains)
     nuisances = (*_nuisances(full, mass, tolerances), _timing(cutoff, above, delay, tolerances))
-    if law is not None and law.noise <= RULES.exact * float(np.std(raw.force)):
+    if law is not None and law.tells(float(np.std(raw.force))):
         within, said = tolerances.control_gain, "gain of the control over the one that was given"
         nuisances += tuple(
             Parameter(f"servo_gains.{n}", "%", 0.0, 0.01, -0.9, 9.0, within, 100.0, "servo_gains", said=f"{n} {said}")
@@ -534,8 +538,8 @@ def _law_conditions(
     whole, found = float(np.std(raw.force)), list[Condition]()
     if any(p.given == "servo_gains" for p in shared.nuisances):
         gains = np.array([law.found.velocity / law.gains.velocity, law.found.position / law.gains.position])
-        text = f"{name + ' ' if name else ''}control law"
-        found.append(Condition(text, {}, (gains - 1.0) / RULES.told, "control law", _GainData()))
+        text, told = f"{name + ' ' if name else ''}control law", law.uncertainty(whole)
+        found.append(Condition(text, {}, (gains - 1.0) / told, "control law", _GainData(told)))
     if not pulses:
         return found, pulses
     length = max(round(float(np.median([p.end - p.begin for p in pulses])) / raw.step), 1)

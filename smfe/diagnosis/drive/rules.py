@@ -74,8 +74,9 @@ class DriveRules:
     detect: float = 10.0  # standard deviations of a command that was not logged
     pulse_share: float = 0.02  # of the highest pulse, from which others count
     shortest_pulse: int = 3  # [samples]
-    exact: float = 1e-3  # of the rms of the force that a law leaves at most whose gains can be told
-    told: float = 5e-3  # standard deviation of such gains [1]
+    told: float = 5e-3  # standard deviation of the gains that an exact law shows [1]
+    off: float = 2.5  # the same over the share of the force that a law leaves
+    vague: float = 0.05  # standard deviation beyond which gains are not told [1]
     even: float = 0.02  # share of their height by which pulses differ
     floor: float = 1e-8  # of the noise over the range of the force
 

@@ -14,7 +14,7 @@ from truth.drive import STEP, Axis, simulate
 from process.errors import InputError
 from process.labels import make_record
 from smfe.diagnosis.drive.balance import Channels, balance_of, check_balance, lost_beyond
-from smfe.diagnosis.drive.control_law import Gains, fit_control_law, unlogged_command
+from smfe.diagnosis.drive.control_law import ControlLaw, Gains, fit_control_law, unlogged_command
 from smfe.diagnosis.drive.filters import Motion, Path, Resampler, motion, moves, presliding, standing
 from smfe.diagnosis.drive.noise import Whitener, strongest_wave
 from smfe.diagnosis.drive.record import DriveRecordFamily, ForceData
@@ -269,6 +269,32 @@ def test_other_gains_are_found_from_the_control_law() -> None:
     found = force_steps(wrong, ["servo_gains"])[-1].values
     assert found["servo_gains.position"] == pytest.approx(0.1, abs=1e-3)
     assert found["servo_gains.velocity"] == pytest.approx(-0.05, abs=1e-3)
+
+
+def test_the_control_law_shows_the_gain_of_the_force_channel() -> None:
+    """A channel that shows 13 % too little shows a velocity gain 13 % too low, and the position gain as it is."""
+    record = record_of(Axis(coulomb=20.0, seconds=12.0), 1)
+    low = record.assign(drive_force=0.87 * record["drive_force"])
+    found = DriveRecordFamily.from_record(low, gains=Gains(POSITION_GAIN, VELOCITY_GAIN))
+    (law,) = (c for c in found.conditions if c.source == "control law")
+    null = null_values(found)
+    assert law.observed is not None
+    assert found.predict(law, null | {"force_gain.error": -0.13}) == pytest.approx(law.observed, abs=0.5)
+    assert np.max(np.abs(found.predict(law, null) - law.observed)) > 10.0
+
+
+def test_gains_of_a_law_that_leaves_more_are_known_less() -> None:
+    """A hundredth of the force that is left makes 2.5 % of them; beyond 5 % nothing is said of them."""
+    taps = np.zeros(20)
+    taps[0], taps[1] = VELOCITY_GAIN * POSITION_GAIN, -VELOCITY_GAIN
+    law = ControlLaw(Gains(POSITION_GAIN, VELOCITY_GAIN), np.array([1.0, 0.0, 0.0, 0.0]), 1.0, taps)
+    assert law.uncertainty(1e4) == pytest.approx(0.005)
+    assert law.uncertainty(100.0) == pytest.approx(0.025)
+    assert law.tells(100.0)
+    assert not law.tells(40.0)
+    assert not replace(law, whole=-taps).tells(1e4)
+    assert law.found.position == pytest.approx(POSITION_GAIN)
+    assert law.found.velocity == pytest.approx(VELOCITY_GAIN)
 
 
 def test_a_ripple_beyond_the_band_counts_by_its_force() -> None:
