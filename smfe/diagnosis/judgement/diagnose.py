@@ -19,7 +19,7 @@ from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition, Family
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import cosines, groups, inside
-from smfe.diagnosis.inference.thresholds import charge, covariances_of_noise, detectable, parameters_of
+from smfe.diagnosis.inference.thresholds import charge, combined_gain, covariances_of_noise, detectable, parameters_of
 from smfe.diagnosis.inference.workers import Helpers
 from smfe.diagnosis.judgement.declared import Released, Size, contradicted, slightly_off, strained
 from smfe.diagnosis.judgement.finding import (
@@ -532,6 +532,7 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> Real:
         scatter = np.sum(np.square(pulls), axis=0) * len(pulls) / max(len(pulls) - 1, 1)
         robust = np.sqrt(scatter + np.sum(np.square(prior), axis=1))
         sd[moving] = np.maximum(sd[moving] * math.sqrt(max(left.ratio, 1.0)), robust)
+        sd[moving] = np.hypot(sd[moving], inverse @ _omitted(bench, at))
     sd[moving] = np.hypot(sd[moving], _off(bench.model, at, moving))
     # Parameters that are seen only together have no interval each: their variance would come out as zero.
     sd[moving] = np.where(1.0 - np.sum(np.square(right[known]), axis=0) > RULES.shared**2, np.inf, sd[moving])
@@ -542,6 +543,23 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> Real:
         own = float(np.linalg.norm(unit - rotated[:, known] @ (rotated[:, known].T @ unit)))
         sd[j] = math.sqrt(over) / (size[j] * own) if own > RULES.shared else np.inf
     return sd
+
+
+def _omitted(bench: Bench, at: Fit) -> Real:
+    """Return what the further cause that explains most of what a fit leaves does to the data, shape (N,).
+
+    The fitted parameters have taken what they can imitate of it; nothing where noise explains as much.
+    """
+    here = bench.tangent(at)
+    gains = {n: combined_gain(bench.model, here, (s,)) for n, s in enumerate(here.acting)}
+    best = max(gains, key=lambda n: gains[n], default=None)
+    if best is None or gains[best] <= bench.threshold(at) + charge(bench.model, (here.acting[best].cause,)):
+        return np.zeros(here.residual.size)
+    s = here.acting[best]
+    own = np.isin(bench.model.of_cause[s.cause], s.free)
+    step = np.linalg.lstsq(s.columns, -here.residual, rcond=RULES.determined)[0]
+    effect = np.concatenate([x[:, own] @ step for x in s.slope.values()])
+    return np.concatenate([effect, np.zeros(here.residual.size - effect.size)])
 
 
 def _off(model: Model, at: Fit, moving: NDArray[np.bool_]) -> Real:
