@@ -41,15 +41,20 @@ def search(bench: Bench, most: int = RULES.most_causes, begin: tuple[int, ...] =
 
     Return the fit that remains and the steps that led there, refused ones included.
     """
-    at = bench.null()
     steps: list[Step] = []
+    return _within_limits(bench, _searched(bench, most, begin, steps), steps), steps
+
+
+def _searched(bench: Bench, most: int, begin: tuple[int, ...], steps: list[Step]) -> Fit:
+    """Add and drop causes until nothing more passes."""
+    at = bench.null()
     if begin and (known := bench.extend(at, begin)).converged:
         at = _drop_idle(bench, known, steps, least=0)
     seen: set[tuple[int, ...]] = {(), at.causes}
     while len(at.causes) < most and not (at.causes and not bench.matters(at, RULES.worth_a_search)):
         step = _best_step(bench, at, steps)
         if step is None:
-            return bench.fits[at.causes], steps
+            return bench.fits[at.causes]
         at, refused, taken = bench.fits[at.causes], {s.causes: s.chi2 for s in steps if not s.accepted}, len(steps) - 1
         smaller = _drop_idle(bench, step, steps)
         if smaller.causes in refused:
@@ -58,12 +63,33 @@ def search(bench: Bench, most: int = RULES.most_causes, begin: tuple[int, ...] =
             better = refused[smaller.causes] - smaller.chi2 > bench.threshold(at)
             steps[taken:] = [pair]
             if not (better and _stands(bench, at, smaller, steps)):
-                return at, steps
+                return at
         at = smaller
         if at.causes in seen:
             break
         seen.add(at.causes)
-    return at, steps
+    return at
+
+
+def _within_limits(bench: Bench, at: Fit, steps: list[Step]) -> Fit:
+    """Replace a cause that later ones have driven to the limit of what is physical by one that does as much within.
+
+    On its limit it would have been refused; it is another one by its name.
+    """
+    for k in at.causes:
+        bound = on_bound(bench.model, at, (k,))
+        if not bound or not (smaller := bench.reduce(at, k)).converged:
+            continue
+        ratio, needed = smaller.chi2 - at.chi2, bench.threshold(smaller) + charge(bench.model, (k,))
+        reason = f"{bound} ends on the limit of what is physical"
+        dropped = Step(smaller.causes, "- " + bench.title((k,)), ratio, needed, None, smaller.chi2, True, reason)
+        for rival in sorted(rivals(bench, at, k), key=lambda f: f.chi2):
+            added, taken = tuple(j for j in rival.causes if j not in at.causes), [dropped]
+            as_good = rival.converged and rival.chi2 < at.chi2 + RULES.margin
+            if as_good and _passes(bench, smaller, rival, added, bench.threshold(smaller), taken):
+                steps += taken
+                return bench.fits[rival.causes]
+    return at
 
 
 def _best_step(bench: Bench, at: Fit, steps: list[Step]) -> Fit | None:

@@ -22,6 +22,7 @@ from smfe.diagnosis.judgement.diagnose import deviations, diagnose, estimates
 from smfe.diagnosis.judgement.finding import Estimate, Finding, FoundCause
 from smfe.diagnosis.judgement.hypotheses import Bench
 from smfe.diagnosis.judgement.next_experiment import probability_to_settle
+from smfe.diagnosis.judgement.search import search
 from smfe.diagnosis.judgement.verdict import Judgement, changing, most_changing
 from smfe.diagnosis.story.sentences import explain
 from smfe.progress import silent
@@ -718,3 +719,18 @@ def test_words_are_told_apart_and_one_value_contrasts_nothing():
     alone = replace(named, conditions=tuple(replace(c, settings={"feed": 1.0}) for c in named.conditions))
     b = bench(measured(replace(alone, effects={}), {}, 0))
     assert changing(b, b.null()) is None
+
+
+def test_a_cause_on_its_limit_gives_way_to_another_that_does_as_much_within():
+    """Both have the same pattern, 1.6 times of which the data have; one of them is physical up to 1.5 only."""
+
+    def pattern(settings):
+        return settings["feed"] * BASIS[3]
+
+    causes, effects = (cause("bound", high=1.5), cause("free")), {"bound.0": pattern, "free.0": pattern}
+    found = bench(measured(Linear(grid(), causes, effects), {"free.0": 1.6}, 1))
+    assert found.extend(found.null(), (0,)).u[found.model.of_cause[0]] == 1.5
+    at, steps = search(found, begin=(0,))
+    assert at.causes == (1,)
+    assert [s.change for s in steps] == ["- bound", "+ free"]
+    assert "limit of what is physical" in steps[0].reason

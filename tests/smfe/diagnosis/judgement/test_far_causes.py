@@ -103,7 +103,10 @@ def test_what_was_refused_alone_is_held_against_the_data_again_where_a_pair_find
     monkeypatch.setattr(module, "_best_step", step)
     monkeypatch.setattr(module, "_drop_idle", lambda one, at, steps: fits[0,])
     monkeypatch.setattr(module, "_passes", passes)
-    stub = SimpleNamespace(fits=fits, null=lambda: fits[()], threshold=lambda at: 10.0, matters=lambda at, share: True)
+    monkeypatch.setattr(module, "on_bound", lambda model, found, causes: "")
+    stub = SimpleNamespace(
+        model=None, fits=fits, null=lambda: fits[()], threshold=lambda at: 10.0, matters=lambda at, share: True
+    )
     at, steps = search(stub)
     assert at.causes == end
     assert [s.accepted for s in steps] == ([False, False, True] if end else [False, False])
