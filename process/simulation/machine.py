@@ -29,7 +29,15 @@ from process.simulation.excitation import Excitation, HalfSine
 from process.simulation.milling import MillingCut, Spindle, simulate_milling
 from process.simulation.packing import pack_forces, pack_impact
 from process.simulation.problem import MachineRun, Problem, SampledControl, resolve
-from process.simulation.record import Run, as_record, displacement_of, integrate, prepare
+from process.simulation.record import (
+    PreparedMachine,
+    Run,
+    as_record,
+    displacement_of,
+    integrate,
+    prepare,
+    prepare_again,
+)
 from process.simulation.rules import RULES
 from process.simulation.step_maps import System, fastest_pole, system_of
 from process.types import Real
@@ -248,12 +256,6 @@ def _smoothed(samples: Real, half_width: int) -> Real:
     return np.asarray(signal.oaconvolve(samples, window[None, :] / half_width, mode="valid", axes=-1))
 
 
-def coarsest_step(machine: Machine, run: MachineRun) -> float:
-    """Return the largest step [s] that follows the fastest pole of a machine; dead times bound it besides."""
-    p = resolve(machine, run)
-    return _per_pole(fastest_pole(p, system_of(p)))
-
-
 def _per_pole(fastest: float) -> float:
     return 2.0 * math.pi / fastest / RULES.coarsest_per_pole
 
@@ -282,22 +284,44 @@ class RepeatedImpact:
     accuracy : float
         Largest error of a friction or joint force in a step, over the largest force so far.
     sample_rate : float, optional
+        Least samples and steps a second [Hz]; the smallest multiple of it that follows the fastest pole is `rate`.
+    like : RepeatedImpact, optional
+        The same machine prepared for another run: what does not depend on the run is taken from it.
+
+    Attributes
+    ----------
+    rate : float
         Samples and steps a second [Hz].
 
     Raises
     ------
     InputError
-        When the servos are unstable when sliding fast, or the step is too large.
+        When the servos are unstable when sliding fast, or a dead time is shorter than the step.
     """
 
     def __init__(
-        self, machine: Machine, axis: str, run: MachineRun, *, accuracy: float, sample_rate: float = 2000.0
+        self,
+        machine: Machine,
+        axis: str,
+        run: MachineRun,
+        *,
+        accuracy: float,
+        sample_rate: float = 2000.0,
+        like: RepeatedImpact | None = None,
     ) -> None:
+        self.rate: float
+        self._prepared: PreparedMachine
         p = resolve(machine, replace(run, forces={axis: HalfSine(1.0)}))
-        require_bounded(p)
-        system, step = system_of(p), 1.0 / sample_rate
-        require_fine(p, fastest_pole(p, system), step)
-        self._prepared = prepare(p, system, step, round(run.total * sample_rate))
+        if like is not None and _same_linear_part(p, like._prepared.problem):
+            self.rate = like.rate
+            self._prepared = prepare_again(like._prepared, p, round(run.total * self.rate))
+        else:
+            require_bounded(p)
+            system = system_of(p)
+            fastest = fastest_pole(p, system)
+            self.rate = sample_rate * max(math.ceil(1.0 / (sample_rate * _per_pole(fastest)) - 1e-9), 1)
+            require_fine(p, fastest, 1.0 / self.rate)
+            self._prepared = prepare(p, system, 1.0 / self.rate, round(run.total * self.rate))
         self._accuracy = accuracy
 
     def displacement(self, impact: Excitation, rest: float = RULES.at_rest) -> Real:
@@ -319,6 +343,15 @@ class RepeatedImpact:
         r = self._prepared
         run = integrate(r, pack_impact(impact, r.step, r.steps), [], keep=1, accuracy=self._accuracy, rest=rest)
         return displacement_of(r.problem, run)
+
+
+def _same_linear_part(p: Problem, q: Problem) -> bool:
+    """Whether two runs of one machine differ in nothing that its linear part knows: in time and feed only."""
+    same = p.machine is q.machine and p.servos == q.servos and list(p.run.forces) == list(q.run.forces)
+    fixed = len(p.structures) == len(q.structures) == 1 and p.structures[0] is q.structures[0]
+    free = p.run.control is None and q.run.control is None
+    slopes = ([(r.slope, r.fast) for r in of.friction] for of in (p, q))
+    return same and fixed and free and next(slopes) == next(slopes)
 
 
 # --- Stability: at the feed, and so fast that friction is past its curve.

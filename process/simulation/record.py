@@ -55,6 +55,13 @@ def prepare(p: Problem, system: System, step: float, steps: int) -> PreparedMach
     return PreparedMachine(p, system, elements, state, servos, ring, linear, step, steps)
 
 
+def prepare_again(known: PreparedMachine, p: Problem, steps: int) -> PreparedMachine:
+    """Pack a problem that has the linear part of one that is prepared, and one structure, for so many steps."""
+    elements, state = pack_elements(p, known.system)
+    linear = known.linear._replace(places=np.zeros(steps))
+    return known._replace(problem=p, elements=elements, state=state, linear=linear, steps=steps)
+
+
 def integrate(
     r: PreparedMachine,
     given: arrays.Given,

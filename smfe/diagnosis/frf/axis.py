@@ -18,10 +18,11 @@ from typing import ClassVar
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from process.friction.laws import Viscous
 from process.harmonic_balance.quasi_frf import quasi_compliance
 from process.machine.machine import Machine
 from process.simulation.excitation import Excitation, HalfSine
-from process.simulation.machine import RepeatedImpact, coarsest_step
+from process.simulation.machine import RepeatedImpact
 from process.simulation.problem import MachineRun
 from process.types import Complex, Real
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Effective
@@ -153,7 +154,10 @@ class SimulatedMachine:
 
     def __init__(self, machine: Machine, rate: float = RULES.rate) -> None:
         self.machine, self.rate = machine, rate
-        self._prepared: dict[tuple[object, ...], tuple[RepeatedImpact, float]] = {}
+        laws = [axis.friction for axis in machine.axes.values()]
+        self._linear = not machine.joints and all(isinstance(law, Viscous) for law in laws)
+        self._prepared: dict[tuple[object, ...], RepeatedImpact] = {}
+        self._one: dict[tuple[object, ...], tuple[float, Real, float]] = {}  # window, displacement, rate
 
     def compliance(self, excited: Excited) -> Complex:
         """Return the compliance that a measurement of this kind finds [m/N], shape (f, entries)."""
@@ -168,25 +172,45 @@ class SimulatedMachine:
 
     def hit(self, excited: Excited, pulse: Excitation, force: Complex) -> Complex:
         """Return H1 of a hit with a pulse and its spectrum [N s], shape (f, entries), once for each excitation."""
+        if self._linear:
+            # H1 of a linear machine knows neither pulse nor feed.
+            pulse = HalfSine(1.0, RULES.contact_time, 0.0)
+            force = _spectrum(pulse, excited.frequency.tobytes())
         out = np.empty((excited.frequency.size, len(excited.entries)), dtype=complex)
         for axis in dict.fromkeys(e for _, e in excited.entries):
-            impact, rate = self._impact(axis, excited)
-            found = impact.displacement(pulse, RULES.rest)
+            found, rate = self._displacement(axis, excited, pulse)
             for i, (response, excitation) in enumerate(excited.entries):
                 if excitation == axis:
                     out[:, i] = _transform(found["xyz".index(response)], excited, rate) / force
         return out
 
-    def _impact(self, axis: str, excited: Excited) -> tuple[RepeatedImpact, float]:
-        """Return the machine prepared for hits, and its steps and samples a second [Hz]."""
+    def _displacement(self, axis: str, excited: Excited, pulse: Excitation) -> tuple[Real, float]:
+        """Return the displacement (3, m) over the window of a hit, until it is at rest, and its samples a second [Hz].
+
+        That of a linear machine is kept over the longest window so far: a shorter one ends earlier.
+        """
+        if not self._linear:
+            impact = self._impact(axis, excited)
+            return impact.displacement(pulse, RULES.rest), impact.rate
+        key = (axis, excited.controller)
+        if key not in self._one or self._one[key][0] < excited.window:
+            impact = self._impact(axis, excited)
+            self._one[key] = excited.window, impact.displacement(pulse, RULES.rest), impact.rate
+        _, found, rate = self._one[key]
+        return found[:, : round(excited.window * rate)], rate
+
+    def _impact(self, axis: str, excited: Excited) -> RepeatedImpact:
+        """Return the machine prepared for hits."""
         feed = {a: excited.feed.get(a, 0.0) for a in self.machine.axes}
-        key = (axis, excited.window, excited.controller, tuple(feed.items()))
+        key = (axis, excited.controller, excited.window, tuple(feed.items()))
         if key not in self._prepared:
             run = MachineRun(excited.window, feed, excited.controller)
-            # A fit without friction to an axis that sticks comes to machines much stiffer than the one that was given.
-            rate = self.rate * max(math.ceil(1.0 / (self.rate * coarsest_step(self.machine, run)) - 1e-9), 1)
-            prepared = RepeatedImpact(self.machine, axis, run, sample_rate=rate, accuracy=RULES.accuracy)
-            self._prepared[key] = prepared, rate
+            like = next((one for known, one in self._prepared.items() if known[:2] == key[:2]), None)
+            # A fit without friction to an axis that sticks comes to machines much stiffer than the one that was given:
+            # the rate follows their fastest pole.
+            self._prepared[key] = RepeatedImpact(
+                self.machine, axis, run, sample_rate=self.rate, accuracy=RULES.accuracy, like=like
+            )
         return self._prepared[key]
 
 
@@ -203,20 +227,23 @@ def _transform(x: Real, excited: Excited, rate: float) -> Complex:
 
     Where it ends before the window it is back where it was.
     """
-    count = round(excited.window * rate)
-    cosine, sine = _fourier(excited.frequency.tobytes(), count, rate)[:, :, : x.size] @ x
-    out = np.asarray((cosine - 1j * sine) / rate)
+    count, w = round(excited.window * rate), 2.0 * np.pi * excited.frequency
+    fine, coarse = _turns(excited.frequency.tobytes(), count, rate)
+    whole = np.zeros((-(-x.size // RULES.block), RULES.block))
+    whole.reshape(-1)[: x.size] = x
+    # Blocks first, then what turns from block to block: a matrix of all samples would not fit into a fast memory.
+    out = np.sum((fine @ whole.T) * coarse[:, : len(whole)], axis=1) / rate
     if x.size < count:
-        return out
-    w = 2.0 * np.pi * excited.frequency
+        return np.asarray(out)
     return np.asarray(out + x[-1] * np.exp(-1j * w * count / rate) / (1j * w))
 
 
-@lru_cache(maxsize=16)
-def _fourier(frequency: bytes, count: int, rate: float) -> Real:
-    """Cosines and sines of sampled time at some frequencies, shape (2, f, count)."""
-    turn = 2.0 * np.pi * np.outer(np.frombuffer(frequency, dtype=float), np.arange(count) / rate)
-    return np.array([np.cos(turn), np.sin(turn)])
+@lru_cache(maxsize=128)
+def _turns(frequency: bytes, count: int, rate: float) -> tuple[Complex, Complex]:
+    """``exp(-j w t)`` of the samples within a block, (f, block), and of the blocks, (f, blocks)."""
+    turn = -2j * np.pi * np.frombuffer(frequency, dtype=float)[:, None] / rate
+    blocks = RULES.block * np.arange(-(-count // RULES.block))
+    return np.exp(turn * np.arange(RULES.block)), np.exp(turn * blocks)
 
 
 # --- From single hits to the mean hit.

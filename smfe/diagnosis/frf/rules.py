@@ -43,6 +43,8 @@ class FrfRules:
     rate: float = 2000.0  # samples and steps a second of a simulated hit [Hz]
     accuracy: float = 1e-4
     """Of friction in a step; with 5e-4 some hits that break the guideway away jump with the parameters."""
+    contact_time: float = 4e-3  # of the hit on a linear machine, whose compliance does not depend on it [s]
+    block: int = 64  # samples that are transformed at once
     rest: float = 1e-7  # of a machine after a hit, next to its largest: a tenth of what the step costs in a hit of 25 N
     at_rest: float = 0.15
     """Relative standard deviation of the force at which a guideway lets go: what it pulls already where the axis came
