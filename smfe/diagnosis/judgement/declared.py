@@ -140,7 +140,9 @@ class Declared:
         """Return the scaled vector with a group where priors put it, all others as fitted."""
         u = self.u.copy()
         place = self.groups[group]
-        u[self.free[place]] = self.solve(weight)[0][place]
+        mine = self.free[place]
+        # A linear step may ask for what no machine has.
+        u[mine] = np.clip(self.solve(weight)[0][place], self.model.low[mine], self.model.high[mine])
         return u
 
     def at_declared(self, group: str, u: Real) -> Real:
