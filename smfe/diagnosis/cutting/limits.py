@@ -3,8 +3,9 @@
 A condition is a limit at one spindle speed: the depth between a stable and a chattering cut, the logarithm of which
 is compared, and the chatter frequency. The prediction is the zero-order limit (`methods.zero_order_scan`), times
 what the converged limit of the unchanged baseline is of its zero-order limit (`methods.semi_discretization`): the
-forces of few teeth change over a turn, which the mean does not know. Where the two are far apart, or crossings of
-different modes or lobes, that ratio corrects nothing, and the limit counts roughly only (`CuttingRules.roughly`).
+forces of few teeth change over a turn, which the mean does not know. Where the two are apart, or crossings of different
+modes or lobes, that ratio corrects nothing: there the converged limit itself is fitted (`converged`), with a straight
+edge and equal pitch; else the limit counts roughly only (`CuttingRules.roughly`).
 """
 
 from __future__ import annotations
@@ -23,10 +24,13 @@ from process.errors import InputError
 from process.machine.modes import HIGHEST_DAMPING, ModalModel
 from process.types import Complex, Real
 from smfe.campaign.tolerances import Tolerances
+from smfe.diagnosis.cutting.converged import PeriodicCut
 from smfe.diagnosis.cutting.rules import RULES
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
+from stability.methods.floquet_crossings import Crossing
 from stability.methods.semi_discretization import LimitDepth, limit_depth
 from stability.methods.zero_order_scan import Loop, loop_of, modal_crossings, modal_eigenvalues
+from stability.problem import Cut
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,8 @@ class KnownLimit:
     limit: Limit
     depth_ratio: float
     frequency_ratio: float
+    periodic: tuple[Crossing, ...] = ()
+    """Converged crossings of the baseline, where these themselves are fitted; the ratios then are those of the mesh."""
 
     @property
     def elsewhere(self) -> bool:
@@ -180,6 +186,9 @@ class CuttingLimits(Abilities):
     spread: Spread = field(default_factory=Spread)  # priors of the machine
     tolerances: Tolerances = field(default_factory=Tolerances)  # priors of the coefficients
     stated: tuple[str, ...] = ()  # causes of which the uncertainty was given: "modal_scale", "force_coefficients"
+    kept: dict[object, tuple[PeriodicCut, Crossing, Crossing, float]] = field(
+        default_factory=dict, compare=False, repr=False
+    )  # converged limits of the last values
 
     @property
     def nuisances(self) -> tuple[Parameter, ...]:
@@ -281,18 +290,69 @@ class CuttingLimits(Abilities):
     def depth(self, condition: Condition, values: Values) -> float:
         """Return the depth of a limit that a set of values predicts [m]; infinite where no depth is unstable."""
         known = _known(condition)
+        if known.periodic:
+            return self._converged(known, values)[1].depth * known.depth_ratio
         depth, _ = self.limits_at(known.limit, values)
         return float(depth[0]) * known.depth_ratio if depth.size else math.inf
 
     def predict(self, condition: Condition, values: Values) -> Real:
         """Return log depth and chatter frequency, whitened like the data; `InputError` where no depth is unstable."""
         known = _known(condition)
+        if known.periodic:
+            cut, first, _, turns = self._converged(known, values)
+            return known.whitened(first.depth * known.depth_ratio, abs(turns) / cut.period)
         depth, frequency = self.limits_at(known.limit, values)
         if not depth.size:
             raise InputError(
                 f"{known.limit.words}: this machine does not chatter at any depth; check modes and coefficients"
             )
         return known.predicted(depth, frequency)
+
+    def _cut(self, limit: Limit, values: Values, flank: float = 0.0) -> Cut:
+        """Return the cut of a limit, its flank [N/m] resisting at least so much."""
+        worn = ProcessDamping(max(values.get("process_damping", 0.0), flank), RULES.flank_friction)
+        return Cut(self.tool, limit.arc or self.arc, self.material(values), worn)
+
+    def _converged(self, known: KnownLimit, values: Values) -> tuple[PeriodicCut, Crossing, Crossing, float]:
+        """Return the cut of a limit, its first crossing, the one observed, and the turns of that one's line."""
+        limit = known.limit
+        key = limit.words, limit.spindle_speed, limit.depth, tuple(values.items())
+        if key not in self.kept:
+            if len(self.kept) >= RULES.kept_cuts:
+                self.kept.clear()
+            cut = PeriodicCut.of(self.changed(values, limit), self._cut(limit, values), limit.spindle_speed)
+            crossings = cut.crossings(RULES.deepest_observed * (limit.depth or math.inf), known.periodic)
+            if not crossings:
+                raise InputError(
+                    f"{limit.words}: this machine does not chatter at any depth; check modes and coefficients"
+                )
+            seen = (crossings[0], 0.0) if limit.frequency is None else cut.observed(crossings, limit.frequency)
+            self.kept[key] = cut, crossings[0], *seen
+        return self.kept[key]
+
+    def _periodic_slopes(self, known: KnownLimit, values: Values, parameters: Sequence[Parameter]) -> Real:
+        """Return the derivatives of a converged limit with parameters, over their scales."""
+        std = known.std()
+        cut, first, seen, turns = self._converged(known, values)
+        # A flank that does nothing has no contacts: where it may begin to resist, it resists a little.
+        flank = _STEP * sum(p.scale for p in parameters if p.name == "process_damping")
+        if values.get("process_damping", 0.0) < flank:
+            cut = cut.with_cut(self._cut(known.limit, values, flank))
+        moved = []
+        for p in parameters:
+            beside = {**values, p.name: values.get(p.name, p.start) + _STEP * p.scale}
+            if p.name in ("coefficients", "radial", "process_damping"):
+                if p.name == "process_damping":
+                    beside[p.name] += flank if values.get(p.name, 0.0) < flank else 0.0
+                moved.append(cut.with_cut(self._cut(known.limit, beside, flank)))
+            else:
+                moved.append(cut.with_machine(self.changed(beside, known.limit)))
+        rows = np.zeros((std.size, len(parameters)))
+        rows[0] = -cut.slopes(first, moved)[0] * first.depth / _STEP / std[0]
+        if std.size == 2:
+            turned = cut.slopes(seen, moved)[1] / _STEP
+            rows[1] = math.copysign(1.0, turns) * turned / (2.0 * math.pi * cut.period) / std[1]
+        return rows
 
     def slopes(
         self, conditions: Sequence[Condition], values: Values, parameters: Sequence[Parameter]
@@ -305,6 +365,15 @@ class CuttingLimits(Abilities):
         found = []
         for c in conditions:
             known = _known(c)
+            if known.periodic:
+                try:
+                    rows = self._periodic_slopes(known, values, parameters)
+                except (InputError, np.linalg.LinAlgError):
+                    return None
+                if not np.all(np.isfinite(rows)):
+                    return None
+                found.append(rows)
+                continue
             depth, frequency = self.limits_at(known.limit, values)
             if not depth.size:
                 return None
@@ -371,9 +440,14 @@ def _observed_crossing(depth: Real, frequency: Real, observed: float) -> int:
     cent: a frequency further from the first crossing than that is of another one, however deep, and it is the depth
     that the first one has wrong.
     """
+    return int(np.argmin(_distances(depth, frequency, observed)))
+
+
+def _distances(depth: Real, frequency: Real, observed: float) -> Real:
+    """Return how far crossings are from the first in depth and from what was observed, squared."""
     excess = np.log(depth / depth[0]) / RULES.near
     away = np.abs(frequency / observed - 1.0) / RULES.near_observed
-    return int(np.argmin(excess**2 + away**2))
+    return np.asarray(excess**2 + away**2)
 
 
 def _turned(direction: Real, angle: Real) -> Real:
@@ -507,7 +581,29 @@ def limit_family(
 def _corrected(plain: CuttingLimits, limit: Limit) -> KnownLimit:
     """Compare the converged limit of the baseline with its zero-order limit."""
     cut = plain.tool, limit.arc or plain.arc, plain.coefficients
-    return corrected(limit, plain.limits_at(limit, {}), partial(limit_depth, plain.machine, *cut, limit.spindle_speed))
+    zero_order = plain.limits_at(limit, {})
+    found = corrected(limit, zero_order, partial(limit_depth, plain.machine, *cut, limit.spindle_speed))
+    straight = plain.tool.helix_angle == 0.0 and plain.tool.equal_pitch and limit.depth is not None
+    if straight and zero_order[0].size and _beyond_zero_order(found, *zero_order):
+        here = PeriodicCut.of(plain.machine, plain._cut(limit, {}), limit.spindle_speed)
+        crossings = here.crossings(RULES.deepest_observed * (limit.depth or math.inf))
+        if crossings:
+            # What the mesh that is fitted is off by.
+            ratio = found.depth_ratio * float(zero_order[0][0]) / crossings[0].depth
+            ratio = ratio if abs(ratio - 1.0) < RULES.limit_floor else 1.0
+            return KnownLimit(limit, ratio, 1.0, tuple(crossings))
+    return found
+
+
+def _beyond_zero_order(known: KnownLimit, depth: Real, frequency: Real) -> bool:
+    """Whether a limit needs its converged prediction: zero order is far from it, or has no such crossing.
+
+    A cut over a period chatters with lines that lie a tooth passing apart, of which the mean knows one.
+    """
+    if known.rough or abs(math.log(known.depth_ratio)) > RULES.little_corrected:
+        return True
+    observed = known.comparable_frequency
+    return observed is not None and float(_distances(depth, frequency, observed).min()) > RULES.not_observed**2
 
 
 def corrected(limit: Limit, zero_order: tuple[Real, Real], converged: Callable[[], LimitDepth]) -> KnownLimit:

@@ -47,10 +47,22 @@ class CuttingRules:
     roughly: float = 0.4
     """Standard deviation of the logarithm of a limit that zero order does not describe. With two teeth at half
     immersion and modes known within 0.5 %, 20 % and 2 % seven such limits were missed by 0.13 to 0.81, 0.44 rms."""
+    little_corrected: float = 0.1  # logarithm of the correction up to which a corrected zero-order limit will do
+    steps_a_radian: float = 0.5  # of a mesh, for each radian that the fastest mode turns in the cut
+    spare_steps: float = 7.0  # beyond those: the limits are then well within the `limit_floor` of converged ones
+    even_steps: int = 6  # the steps are a multiple of it, so that a parameter that moves hardly changes the mesh
+    angles_of_circle: int = 16  # of the multiplier at which crossings are looked for, besides those about the modes
     alike: float = 0.02  # relative difference of zero-order and converged chatter frequency of one crossing
     frequency_floor: float = 0.003  # of a chatter frequency, relative: a cut that chatters is deeper than the limit
     near: float = 0.1  # share by which a crossing deeper than the first may be the one that was observed
     near_observed: float = 0.02  # relative distance of its frequency from the one observed
+    surely_below: float = 0.985  # share of a first limit at which the cut must be stable
+    loudest: float = 1.0
+    """Logarithm of the size of a line over the largest at a crossing by which another may be the one observed: a cut
+    chatters with lines that lie a tooth passing apart, and which is the largest depends on where they are measured."""
+    not_observed: float = 3.0  # of these together, beyond which a crossing is not the one observed
+    deepest_observed: float = 2.0  # depth over that of a limit, down to which its crossings are looked for
+    kept_cuts: int = 200  # converged limits that are kept for their slopes
     flank_friction: float = 0.3  # friction coefficient between flank and work
     minutes: float = 20.0  # to bracket a limit
 

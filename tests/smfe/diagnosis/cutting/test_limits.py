@@ -13,11 +13,13 @@ from process.cut.force import CuttingCoefficients, ProcessDamping
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.machine.modes import ModalModel
+from smfe.diagnosis.cutting.converged import PeriodicCut
 from smfe.diagnosis.cutting.limits import CuttingLimits, KnownLimit, Limit, Trial, bracketed, limit_family
 from smfe.diagnosis.cutting.rules import RULES
 from smfe.diagnosis.judgement.diagnose import diagnose
 from stability.methods.semi_discretization import limit_depth
 from stability.methods.zero_order_scan import loop_of, modal_crossings
+from stability.problem import Cut
 
 RAM = ModalModel(
     [62.0, 85.0, 140.0], [0.03, 0.04, 0.03], [2e7, 3e7, 6e7], [[1.0, 0.2, 0.1], [-0.3, 1.0, 0.0], [0.1, 0.1, 1.0]]
@@ -107,14 +109,57 @@ def test_the_baseline_is_the_converged_limit(plain: CuttingLimits) -> None:
         assert ratio * math.log(math.sqrt(1.04) * 1e-3) == pytest.approx(math.log(found * 1e-3), rel=1e-9)
 
 
-def test_limits_that_zero_order_does_not_describe_count_roughly() -> None:
+def test_a_limit_that_zero_order_does_not_describe_is_the_converged_one() -> None:
     """Two teeth at half immersion: the converged limit is half of that of zero order, at another chatter frequency."""
-    few = known(Mill(teeth=2), [Found(1100.0, 1e-4, 1e-3, 1.04e-3, 66.0)], [])
+    mill = Mill(teeth=2)
+    few = known(mill, [Found(1100.0, 1e-4, 1e-3, 1.04e-3, 66.0)], [])
     (condition,) = few.conditions
-    assert condition.observed.size == 1
-    ((name, std),) = few.roughly()
-    assert name == condition.name
-    assert std > RULES.roughly
+    assert condition.data.periodic
+    assert few.roughly() == []
+    assert condition.observed.size == 2
+    tool, arc = Tool(mill.diameter, mill.teeth), Engagement(mill.entry, mill.leave)
+    values = start(few) | {"frequency_1": 0.01, "stiffness_2": -0.1, "coefficients": 0.2, "process_damping": 2e4}
+    worn_flank = ProcessDamping(2e4, RULES.flank_friction)
+    found = limit_depth(
+        few.changed(values, condition.data.limit), tool, arc, few.material(values), 1100.0, process_damping=worn_flank
+    )
+    assert few.depth(condition, values) * 1e3 == pytest.approx(found.limit_depth_mm, rel=1e-3)
+
+
+def test_slopes_of_a_converged_limit_are_its_differences() -> None:
+    few = known(Mill(teeth=2), [Found(n, 1e-4, 1e-3, 1.04e-3, 66.0) for n in (1100.0, 700.0)], [])
+    parameters = [*few.nuisances, *(p for c in few.causes for p in c.parameters)]
+    for worn_flank in (0.0, 2e4):
+        values = start(few) | {"mode_compliance": 1e-9, "micro_slip_1": 0.05, "process_damping": worn_flank}
+        slopes = few.slopes(few.conditions, values, parameters)
+        assert slopes is not None
+        for condition, found in zip(few.conditions, slopes, strict=True):
+            for p, slope in zip(parameters, found.T, strict=True):
+                h, least = 1e-3 * p.scale, -1e-3 * p.scale if values[p.name] > p.low else 0.0
+                up, down = (few.predict(condition, values | {p.name: values[p.name] + x}) for x in (h, least))
+                np.testing.assert_allclose(
+                    slope, p.scale * (up - down) / (h - least), rtol=0.01, atol=1e-2, err_msg=p.name
+                )
+
+
+def test_a_line_a_tooth_passing_beside_the_largest_may_be_the_one_observed() -> None:
+    """Lines of a periodic cut lie a tooth passing apart: one of them that is nearly as large is no other limit."""
+    mill = Mill(teeth=2)
+    few = known(mill, [Found(1100.0, 1e-4, 1e-3, 1.04e-3, 66.0)], [])
+    cut = PeriodicCut.of(few.machine, Cut(few.tool, few.arc, few.coefficients), 1100.0)
+    at = cut.crossings(0.1)[0]
+    turns, size = cut.lines(at, cut.chips(at))
+    two = np.argsort(-size)[:2]
+    assert abs(turns[two[0]] - turns[two[1]]) == pytest.approx(1.0)
+    for n in two:
+        assert cut.observed([at], abs(turns[n]) / cut.period) == (at, turns[n])
+
+
+@pytest.mark.parametrize("helix", [0.0, math.radians(30.0)])
+def test_with_a_helix_such_a_limit_counts_roughly(helix: float) -> None:
+    tool, arc = Tool(0.08, 2, helix_angle=helix), Engagement(0.5 * math.pi, math.pi)
+    found = limit_family([Limit(1100.0, 1e-3, frequency=66.0)], as_machine(Mill()), tool, arc, STEEL)
+    assert [name for name, std in found.roughly() if std > RULES.roughly] == [c.name for c in found.conditions if helix]
     slot = known(SLOT, [Found(600.0, 1e-4, 1e-3, 1.04e-3, 66.0)], [])
     assert slot.roughly() == []
     assert slot.squared_size(slot.conditions[0], np.array([1.0, 0.0])) < 0.03**2
