@@ -32,6 +32,7 @@ class CuttingRules:
     resonance_from: float = 12.0
     """Least first resonance of a dynamometer over the tooth passing whose orders are taken as they are."""
     leak: float = 0.01  # share of the rms along all axes that it may miss of every order, likewise
+    most_cross_talk: float = 0.1  # share of another axis that a channel may show; piezoelectric sensors show 0.02
     mains: tuple[float, ...] = (50.0, 60.0)  # lines that are looked for [Hz]
     tooth_orders: int = 6  # orders of tooth passing that count
     block: int = 4  # revolutions of a block

@@ -15,6 +15,7 @@ import numpy as np
 from process.labels import AXES
 from process.types import Complex, Real
 from smfe.campaign.tolerances import Tolerances
+from smfe.diagnosis.cutting.rules import RULES
 from smfe.diagnosis.inference.problem import Cause, Parameter, Values
 
 _DEGREES = 180.0 / math.pi
@@ -41,9 +42,10 @@ def sensor_nuisances(t: Tolerances) -> tuple[Parameter, ...]:
         sd = math.hypot(t.cross_talk, t.mounting_angle if "z" in (seen, source) else 0.0)
         if sd:
             said = f"share of the force along {source} that channel {seen} shows"
-            found.append(
-                Parameter(f"talk_{seen}{source}", "%", 0.0, 0.01, -0.5, 0.5, sd, 100.0, given="sensor_axis", said=said)
-            )
+            # A matrix that is free otherwise is any gain: a mounting and cross-talk that undo each other.
+            most = max(RULES.most_cross_talk, 10.0 * sd)
+            name = f"talk_{seen}{source}"
+            found.append(Parameter(name, "%", 0.0, 0.01, -most, most, sd, 100.0, given="sensor_axis", said=said))
     return tuple(found)
 
 
