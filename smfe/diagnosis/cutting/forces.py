@@ -279,8 +279,12 @@ def _runout(tool: Tool) -> Iterator[Cause]:
     if tool.teeth == 1:
         return
     size = Parameter("runout", "um", 0.0, 5e-6, 0.0, 5e-4, shown=1e6)
-    if tool.teeth == 2:  # only their difference counts
-        yield Cause("runout", "run-out of the tool", (size,), starts=((5e-6,), (2e-5,)))
+    if tool.teeth == 2:  # only their difference counts, and its sign where something else tells them apart
+        alike = tool.equal_pitch and tool.equal_radius
+        either = size if alike else replace(size, low=-size.high)
+        signs = (1.0,) if alike else (1.0, -1.0)
+        starts = tuple((s * x,) for s in signs for x in (5e-6, 2e-5))
+        yield Cause("runout", "run-out of the tool", (either,), starts=starts)
         return
     turn = 2.0 * math.pi
     angle = Parameter("runout_angle", "deg", 0.5, 0.3, -turn, turn, shown=180.0 / math.pi, secondary=True)

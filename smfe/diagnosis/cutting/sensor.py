@@ -144,9 +144,10 @@ def through_sensor(orders: Complex, rotation: float, values: Values) -> Complex:
             flexible = 1.0 - frequency**2 * square + 1j * frequency * lag
             # A resonance right on an order is large, and not infinite.
             out[:, i] /= np.where(np.abs(flexible) < 1e-3, 1e-3, flexible)
-    common = (1.0 + values.get("gain_common", 0.0)) * _sign(values.get("sign", 0.0))
-    gains = [common * (1.0 + values.get(f"gain_{a}", 0.0)) * _sign(values.get(f"sign_{a}", 0.0)) for a in AXES]
-    out *= np.array(gains)
+    # A sum: what the channels have in common and what is their own trade with each other, however large they are.
+    gains = [1.0 + values.get("gain_common", 0.0) + values.get(f"gain_{a}", 0.0) for a in AXES]
+    signs = [_sign(values.get("sign", 0.0)) * _sign(values.get(f"sign_{a}", 0.0)) for a in AXES]
+    out *= np.multiply(gains, signs)
     out[0] += [values.get(f"offset_{a}", 0.0) for a in AXES]
     return out
 

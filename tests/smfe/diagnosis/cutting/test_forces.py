@@ -128,6 +128,22 @@ def test_what_is_not_physics_is_out_of_bounds() -> None:
     assert next(p for p in small().nuisances if p.name == "Ktc").low == 0.0
 
 
+def test_of_two_inserts_whose_radii_were_declared_either_may_stand_out_further() -> None:
+    """Equal ones change places with the angle at which a record starts."""
+
+    def least(tool: Tool) -> float:
+        (size,) = next(c for c in replace(small(), tool=tool).causes if c.id == "runout").parameters
+        return size.low
+
+    assert least(TOOL) == 0.0
+    assert least(replace(TOOL, runout=(1e-5, -1e-5))) < 0.0
+
+
+def test_a_mounting_and_cross_talk_cannot_undo_each_other_to_any_gain() -> None:
+    bounds = [p.high for p in small().nuisances if p.name.startswith("talk_")]
+    assert max(bounds) < 0.25
+
+
 def test_a_switch_may_end_on_its_bound() -> None:
     """A sign is turned or not, wherever beyond its threshold a fit leaves it; a share of exchanged axes is a number."""
     model = Model(small(), small().conditions)
