@@ -42,6 +42,14 @@ class Released:
 
 
 @dataclass(frozen=True)
+class Strain:
+    """What has no name and is moved beyond what is trusted of it."""
+
+    said: str  # the nuisance that is furthest off, in words
+    size: float  # of what all of them together change [1]
+
+
+@dataclass(frozen=True)
 class Declared:
     """A fit, linearised in all its parameters, under any priors."""
 
@@ -114,7 +122,7 @@ class Declared:
         Where more than noise is left that no declared value explains, noise counts as that much larger.
         """
         place = self.groups[group]
-        u = self.solve(weight)[0]
+        u = self.possible(self.solve(weight)[0])
         seen, known, vectors = self._told(weight, group)
         if not seen.any():
             return 1.0, 0.0
@@ -145,6 +153,10 @@ class Declared:
         u[mine] = np.clip(self.solve(weight)[0][place], self.model.low[mine], self.model.high[mine])
         return u
 
+    def possible(self, u: Real) -> Real:
+        """Return fitted values within their bounds: what the data say little of a straight line takes anywhere."""
+        return np.clip(u, self.model.low[self.free], self.model.high[self.free])
+
     def at_declared(self, group: str, u: Real) -> Real:
         """Return a scaled vector with a group at its declared values."""
         back = u.copy()
@@ -170,21 +182,24 @@ def slightly_off(model: Model, target: Target, at: Fit) -> list[Released]:
     return _released(replace(linear, groups={g: linear.groups[g] for g in beyond}), lambda *_: 0.0, 0.0)
 
 
-def strained(model: Model, target: Target, at: Fit, size: Size, material: float) -> str:
-    """Return the nuisance without a name that the data put furthest beyond what is trusted of it; "" for none.
+def strained(model: Model, target: Target, at: Fit, size: Size, material: float) -> Strain | None:
+    """Return the nuisance without a name that the data put furthest beyond what is trusted of it; None for none.
 
     A fit that all but has it at its limit is not the baseline that was declared, and what it stands for is not known.
     It counts only where the values that the data ask for change what matters.
     """
     linear = Declared.of(model, target, at, named=False)
     if not linear.groups or linear.pull(linear.weight, "")[0] >= RULES.contradicted:
-        return ""
-    asked = linear.away(linear.without(linear.weight, ""), "")
-    if size(linear.at_declared("", asked), asked, "") < material:
-        return ""
+        return None
+    # With these free all others go back to what was declared of them.
+    asked = linear.u.copy()
+    asked[linear.free] = linear.possible(linear.solve(linear.without(linear.weight, ""))[0])
+    changed = size(linear.at_declared("", asked), asked, "")
+    if changed < material:
+        return None
     place = linear.groups[""]
     worst = at.free[place][int(np.argmax(np.abs(at.u[at.free[place]]) * np.sqrt(linear.weight[place])))]
-    return model.parameters[worst].said or str(model.names[worst])
+    return Strain(model.parameters[worst].said or str(model.names[worst]), changed)
 
 
 def _released(linear: Declared, size: Size, material: float) -> list[Released]:

@@ -21,7 +21,7 @@ from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import cosines, groups, inside
 from smfe.diagnosis.inference.thresholds import charge, combined_gain, covariances_of_noise, detectable, parameters_of
 from smfe.diagnosis.inference.workers import Helpers
-from smfe.diagnosis.judgement.declared import Released, Size, contradicted, slightly_off, strained
+from smfe.diagnosis.judgement.declared import Released, Size, Strain, contradicted, slightly_off, strained
 from smfe.diagnosis.judgement.finding import (
     Estimate,
     Finding,
@@ -141,8 +141,8 @@ def _contradicted(bench: Bench, at: Fit, worth: Worth) -> list[Released]:
     return contradicted(bench.model, bench.target, at, _size_of(bench, worth), worth.material)
 
 
-def _strained(bench: Bench, at: Fit, worth: Worth) -> str:
-    """Return the nuisance without a name that a fit moves beyond what is trusted of it; "" for none."""
+def _strained(bench: Bench, at: Fit, worth: Worth) -> Strain | None:
+    """Return the nuisance without a name that a fit moves beyond what is trusted of it."""
     return strained(bench.model, bench.target, at, _size_of(bench, worth), worth.material)
 
 

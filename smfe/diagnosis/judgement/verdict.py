@@ -26,6 +26,7 @@ from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import Tangent, inside, orthonormal
 from smfe.diagnosis.inference.thresholds import Detectable, parameters_of, products_of_noise, upper
+from smfe.diagnosis.judgement.declared import Strain
 from smfe.diagnosis.judgement.hypotheses import Bench
 from smfe.diagnosis.judgement.materiality import EVERYTHING, Worth, residual_of
 from smfe.diagnosis.judgement.next_experiment import discrimination
@@ -58,19 +59,24 @@ def judge(
     worth: Worth = EVERYTHING,
     released: bool = False,
     objection: str = "",
-    strain: str = "",
+    strain: Strain | None = None,
 ) -> Judgement:
     """Judge the fit and the steps that a search ended with, given what would have been seen and what matters.
 
     `released`: the data contradict what was declared, and it was released. `objection`: why the fit is no explanation,
-    however well it fits; "" for none. `strain`: what it moves beyond what is trusted of it: nothing consistent.
+    however well it fits; "" for none. `strain`: what it moves beyond what is trusted of it: nothing consistent, and
+    causes that change less than that are not what is wrong.
     """
     found = _judged(bench, at, steps, sizes, worth, released)
     if objection and found.verdict in ("consistent", "named", "ambiguous"):
         return replace(found, verdict="unknown", reason=objection, sets={})
-    if strain and found.verdict == "consistent":
-        reason = f"it fits only with {strain} beyond what is trusted of it, and nothing of the catalogue says why"
-        return replace(found, verdict="unknown", reason=reason)
+    if strain is None:
+        return found
+    named = [k for k in at.causes if k not in found.immaterial]
+    outdone = bool(named) and strain.size > max(cause_size(bench, at, k, worth) for k in named)
+    if found.verdict == "consistent" or (outdone and found.verdict in ("named", "ambiguous")):
+        reason = f"it fits only with {strain.said} beyond what is trusted of it, and nothing of the catalogue says why"
+        return replace(found, verdict="unknown", reason=reason, sets={})
     return found
 
 

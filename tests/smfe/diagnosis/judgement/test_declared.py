@@ -146,6 +146,15 @@ def test_what_has_no_name_and_must_be_beyond_what_is_trusted_of_it_is_unknown():
     assert diagnose(measured({"coefficients": 0.03}, nuisances=exact), worth=WORTH).verdict == "consistent"
 
 
+def test_a_cause_that_changes_less_than_what_has_no_name_and_is_strained_is_not_what_is_wrong():
+    nameless = (declared("coefficients", ""), declared("gain", "", 0.01))
+    truth = {"coefficients": 0.45, "ripple": 12.0}
+    found = diagnose(measured(truth, nuisances=nameless), worth=WORTH)
+    assert found.verdict == "unknown"
+    assert "coefficients beyond what is trusted of it" in found.reason
+    assert ids(diagnose(measured(truth | {"ripple": 90.0}, nuisances=nameless), worth=WORTH)) == {"ripple": None}
+
+
 def test_a_declared_value_that_has_to_be_impossible_is_not_named():
     bounded = replace(declared("coefficients", "force_coefficients"), high=0.5), declared("gain", "sensor_gain", 0.01)
     far, near = (
