@@ -133,6 +133,10 @@ class CuttingForces(Abilities):
             found += [float(period**2), float(lags[k] * period)]
         return tuple(found)
 
+    def measured_noise(self, condition: Condition) -> Real | None:
+        """Return what records scatter by, and hum, without what real cuts were off by: most cuts are nearer."""
+        return condition.data.measured if isinstance(condition.data, CuttingOrders) else None
+
     def squared_size(self, condition: Condition, misfit: Real) -> float:
         """Return the square of the error of a force over the force, rms over rms of all axes, for a whitened misfit.
 

@@ -63,11 +63,20 @@ class CuttingOrders:
     (2, 3), where no order covers it."""
     depth_std: float = 0.0  # relative: by which all orders together may be off, with the depth of the cut
     resolution: float = 0.0  # one over the length of the record [Hz]
+    reach: Real | None = None  # shape (orders, 3): mean square of what a model is not expected to reach, in `std` [N^2]
 
     @property
     def rms(self) -> Real:
         """Root mean square of the force along x, y, z, (3,) [N]."""
         return np.asarray(np.sqrt(np.abs(self.value[0]) ** 2 + 0.5 * np.sum(np.abs(self.value[1:]) ** 2, axis=0)))
+
+    @property
+    def measured(self) -> Real | None:
+        """Standard deviation of whitened values by what was measured alone; None where it is not known."""
+        if self.reach is None:
+            return None
+        share = np.sqrt(np.clip(1.0 - self.reach / self.std**2, 0.0, 1.0))
+        return np.concatenate([share[0][self.used[0]], np.tile(share[1:][self.used[1:]], 2)])
 
     @property
     def used(self) -> NDArray[np.bool_]:
@@ -150,8 +159,9 @@ def cutting_orders(
     grown = (1.0 + max(alike, 0.0)) / (1.0 - min(max(alike, 0.0), 0.9))
     noise = grown * np.mean(np.abs(away) ** 2, axis=0) / (blocks - 1)
     depth_std = RULES.depth / cut.depth if cut.depth > 0.0 else 0.0
-    std = np.sqrt(noise + (cut.depth > 0.0) * out_of_reach(value, tool.teeth, floor, leak))
-    return CuttingOrders(cut, value, std, _lines(force, dt, cut), depth_std, 1.0 / (force.shape[1] * dt))
+    reach = (cut.depth > 0.0) * out_of_reach(value, tool.teeth, floor, leak)
+    std = np.sqrt(noise + reach)
+    return CuttingOrders(cut, value, std, _lines(force, dt, cut), depth_std, 1.0 / (force.shape[1] * dt), reach)
 
 
 def out_of_reach(value: Complex, teeth: int, floor: float, leak: float) -> Real:

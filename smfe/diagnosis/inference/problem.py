@@ -130,6 +130,14 @@ class Abilities(Protocol):
         """Whether a misfit matters that is large in one condition alone; else its rms over all of them counts."""
         return False
 
+    def measured_noise(self, condition: Condition) -> Real | None:
+        """Return the standard deviation of the noise in whitened data that was measured, (n,); None: all of it.
+
+        What else data are whitened by is the most that a model may miss. That is no misfit, but part of the size of
+        one, and how much of it a model does miss is seen in what a fit leaves.
+        """
+        return None
+
     @property
     def roughness(self) -> float:
         """Distance of predictions from a smooth function of the parameters: root of the sum of squares, in noise."""

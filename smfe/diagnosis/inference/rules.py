@@ -99,6 +99,9 @@ class InferenceRules:
     beyond: float = 3.3  # the same in standard deviations, of one parameter
     told: float = 5.0  # z against the data alone from which what was declared without uncertainty counts
     unstated: float = 2.0  # times what is material that such a difference must be worth
+    least_filled: float = 0.25
+    """Least share of the most that a model may miss (`Abilities.measured_noise`) that counts, in variance: what all
+    conditions miss alike is fitted, and is not left."""
     informed: float = 1e-3  # share of a prior's variance that data must take away to say something of it
     released: float = 0.02  # prior over what it becomes where it is released: fifty times as wide
     stands_for: float = 0.5  # share of a difference below which another parameter has taken its place

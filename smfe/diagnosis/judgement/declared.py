@@ -25,6 +25,7 @@ from process.types import Real
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
 from smfe.diagnosis.inference.model import Index, Model
 from smfe.diagnosis.inference.rules import RULES
+from smfe.diagnosis.inference.signature import orthonormal
 
 Size = Callable[[Real, Real, str], float]
 """What the difference of two scaled vectors costs, relative, for a group: (before, after, id) -> size."""
@@ -67,22 +68,24 @@ class Declared:
         """Linearise a fit, with the groups of what has a name, or with one of all nuisances that have none ("")."""
         slope, residual = stacked(model, target, at.free, at.u, at.residual, at.slope)
         values = sum(y.size for y in target.observed.values())
-        data, weight = slope[:values].T @ slope[:values], model.weight[at.free] ** 2
+        weight = model.weight[at.free] ** 2
+        variance = _variance(model, target, slope[:values], residual[:values], weight)
+        data = slope[:values].T @ (slope[:values] / variance[:, None])
         groups: dict[str, list[int]] = {}
         for place, j in enumerate(at.free):
             given = model.parameters[j].given
             if bool(given) == named and weight[place] > 0.0 and (named or j in model.nuisance):
                 groups.setdefault(given, []).append(place)
         centred = (at.u - target.centre)[at.free]
-        score = (data + np.diag(weight)) @ centred
+        off = slope[:values].T @ (residual[:values] / variance)
         # Where a fit has stopped a little short of its optimum, released priors would make much of that little.
-        short = slope.T @ residual
-        score -= np.where(_within(model, at), short, 0.0)
+        score = np.where(_within(model, at), data @ centred - off, (data + np.diag(weight)) @ centred)
         found = cls(model, at.free, at.u, data, weight, score, {g: np.array(p) for g, p in groups.items()}, 1.0)
         free = weight.copy()
         for g in groups:
             free = found.without(free, g)
-        left = (at.chi2 - found.merit(free) + found.merit(weight)) / max(values - at.free.size, 1)
+        chi2 = at.chi2 + float(np.sum(residual[:values] ** 2 * (1.0 / variance - 1.0)))
+        left = (chi2 - found.merit(free) + found.merit(weight)) / max(values - at.free.size, 1)
         return replace(found, over=max(left, 1.0))
 
     def solve(self, weight: Real) -> tuple[Real, Real]:
@@ -162,6 +165,24 @@ class Declared:
         back = u.copy()
         back[self.free[self.groups[group]]] = 0.0
         return back
+
+
+def _variance(model: Model, target: Target, slope: Real, residual: Real, weight: Real) -> Real:
+    """Return the variance of the noise in whitened values, (n,): of what a model may miss, the share that it does miss.
+
+    That share is what a fit leaves beyond the noise that was measured. Each value counts by what it says of declared
+    parameters, over their priors: orders at which there is no force leave nothing, whatever the others do.
+    """
+    sizes = {r: y.size for r, y in target.observed.items()}
+    measured = {r: model.family.measured_noise(model.conditions[r]) for r in sizes}
+    if all(m is None for m in measured.values()):
+        return np.ones(residual.size)
+    known = np.concatenate([np.ones(n) if (m := measured[r]) is None else m**2 for r, n in sizes.items()])
+    ruled = weight > 0.0
+    told = np.sum(slope[:, ruled] ** 2 / weight[ruled], axis=1)
+    left = told * np.maximum(1.0 - np.sum(orthonormal(slope) ** 2, axis=1), 0.0)
+    missed = float(told @ residual**2 - left @ known) / max(float(left @ (1.0 - known)), 1e-300)
+    return np.asarray(known + min(max(missed, RULES.least_filled), 1.0) * (1.0 - known))
 
 
 def _within(model: Model, at: Fit) -> NDArray[np.bool_]:

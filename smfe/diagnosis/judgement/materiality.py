@@ -85,6 +85,8 @@ def _together(model: Model, rows: Sequence[int], squares: Sequence[float]) -> fl
 def _noise(model: Model, condition: Condition, size: int, rng: np.random.Generator) -> Real:
     """Return the size that noise alone has, squared, a few hundred times."""
     draws = rng.standard_normal((RULES.noise_draws, size))
+    if (known := model.family.measured_noise(condition)) is not None:
+        draws *= known
     return np.array([model.family.squared_size(condition, x) for x in draws])
 
 

@@ -155,6 +155,48 @@ def test_a_cause_that_changes_less_than_what_has_no_name_and_is_strained_is_not_
     assert ids(diagnose(measured(truth | {"ripple": 90.0}, nuisances=nameless), worth=WORTH)) == {"ripple": None}
 
 
+@dataclass(frozen=True)
+class Limited(Scaled):
+    """Whitened by the most that the model may miss, of which the noise that was measured is a tenth."""
+
+    def measured_noise(self, condition):
+        return np.full(N, 0.1)
+
+
+@pytest.mark.parametrize(("missed", "pulled"), [(0.1, True), (1.0, False)])
+def test_what_a_model_may_miss_counts_as_far_as_it_is_left(missed, pulled):
+    """Of two things that differ in their shape alone the data tell as much as what is left lets them."""
+
+    @dataclass(frozen=True)
+    class Apart(Limited):
+        nuisances: tuple = (declared("coefficients", "force_coefficients", 0.001),)
+
+        def predict(self, condition, values):
+            return 10.0 * (1.0 + values["coefficients"]) * SHAPES[int(condition.settings["speed"]) % 2]
+
+    family = Apart(tuple(Condition(f"cut {n}", {"speed": float(n)}) for n in range(6)))
+    rng = np.random.default_rng(1)
+    seen = [family.predict(c, {"coefficients": 0.02}) + missed * rng.standard_normal(N) for c in family.conditions]
+    family = replace(
+        family, conditions=tuple(replace(c, observed=y) for c, y in zip(family.conditions, seen, strict=True))
+    )
+    model = Model(family, family.conditions)
+    target = Target({r: np.asarray(c.observed) for r, c in enumerate(family.conditions)}, model.null())
+    linear = Declared.of(model, target, fit(model, target, (), model.null()))
+    assert (linear.pull(linear.weight, "force_coefficients")[0] < 0.001) == pulled
+
+
+def test_the_size_of_a_misfit_is_all_of_it_but_the_noise_that_was_measured():
+    family = measured({})
+    limited = Limited(family.conditions)
+    residual = {r: np.full(N, 1.0) for r in range(6)}
+    rng = np.random.default_rng(0)
+    known, limit = (WORTH.left(Model(f, f.conditions), residual, rng) for f in (family, limited))
+    of = np.sqrt(np.mean([100.0**2 * np.mean(SHAPES[n % 2] ** 2) for n in range(6)]))
+    assert known < 0.3 / of
+    assert limit == pytest.approx(1.0 / of, rel=0.2)
+
+
 def test_a_declared_value_that_has_to_be_impossible_is_not_named():
     bounded = replace(declared("coefficients", "force_coefficients"), high=0.5), declared("gain", "sensor_gain", 0.01)
     far, near = (
