@@ -203,11 +203,16 @@ def stiffness_of(
     if shaken.method == "hammer":
         start = shaken.level / shaken.reference * np.abs(joint.vector[:, None] * shape)
         start = np.sqrt(np.sum((start * 2.0 * np.pi * np.array(machine.frequency)[:, None]) ** 2, axis=0))
-        return joint.law(joint.size, DECAYING[0] * start, DECAYING[1] * start**2)[None]
+        return in_a_hit(joint, start)[None]
     free = np.abs(moved) * shaken.level / shaken.reference
     if shaken.power is not None:
         return _at_once(partial(_of_random, joint), direct, free * np.sqrt(shaken.power)[:, None])
     return _steady(lambda a: joint.law(joint.size, a, a**2), direct, free)
+
+
+def in_a_hit(joint: Joint, start: Real) -> Complex:
+    """Return the stiffness of a joint after a hit that starts it with an amplitude."""
+    return joint.law(joint.size, DECAYING[0] * start, DECAYING[1] * start**2)
 
 
 def _of_random(joint: Joint, amplitude: Real) -> Complex:

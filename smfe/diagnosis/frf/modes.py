@@ -20,10 +20,19 @@ from process.machine.modes import ModalModel
 from process.types import Complex, Real
 from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.frf.causes import AXES, OF_DECLARED, RESIDUAL, TWICE, modal_causes, pairs, vector
-from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, amplitude, full_compliance, unchanged
+from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, amplitude, full_compliance, left_out, unchanged
+from smfe.diagnosis.frf.modal_slopes import LOOSE, STEP, JointChange, Part, joint_slopes, part_slopes
 from smfe.diagnosis.frf.noise import Excited, excited_of, kept
 from smfe.diagnosis.frf.rules import RULES
-from smfe.diagnosis.frf.workshop import SENSORS, errors_of_condition, measured, sensor_nuisances, without_own_noise
+from smfe.diagnosis.frf.workshop import (
+    SENSORS,
+    SensorSlopes,
+    errors_of_condition,
+    measured,
+    sensor_nuisances,
+    sensor_slopes,
+    without_own_noise,
+)
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
 SPREAD: dict[str, float] = {"frequency": 0.02, "damping": 0.3, "stiffness": 0.1}
@@ -45,6 +54,9 @@ ACCELEROMETERS = {"laser": 0.0, "two": 2.0}
 """Setting ``sensor`` -> accelerometers that the tool carries; one without it."""
 
 JOINTS = ("joint_micro_slip", "joint_hardening")
+
+MODE = ("mode_compliance", "mode_frequency", "mode_damping", "mode_azimuth", "mode_elevation")
+"""Parameters of a further mode, its size first."""
 
 
 @dataclass(frozen=True)
@@ -292,6 +304,151 @@ class ModalFrfs(Abilities):
         key = (excited, machine or free + carried, slides, laser, tuple([values.get(n, 0.0) for n in SENSORS]))
         return kept(self._predicted, key, predicted, RULES.modal_kept)
 
+    def slopes(
+        self, conditions: Sequence[Condition], values: Values, parameters: Sequence[Parameter]
+    ) -> list[Real] | None:
+        """Return the derivatives of each condition with parameters, over their scales, in closed form, (n, p).
+
+        None where a joint that is not linear is shaken by a sine.
+        """
+        sizes = [self._joint_names(which)[0] for which in LOOSE]
+        loose = any(values.get(n, 0.0) > 0.0 for n in sizes) or any(p.name in sizes for p in parameters)
+        if loose and any(excited_of(c).method != "hammer" and "free_mass" not in c.settings for c in conditions):
+            return None
+        sensors = sensor_slopes(values, [p.name for p in parameters])
+        return [self._condition_slopes(c, values, parameters, sensors) for c in conditions]
+
+    def _condition_slopes(
+        self, condition: Condition, values: Values, parameters: Sequence[Parameter], sensors: SensorSlopes
+    ) -> Real:
+        excited, laser = excited_of(condition), condition.settings.get("sensor") == "laser"
+        frequency, names = excited.frequency, [p.name for p in parameters]
+        if free := float(condition.settings.get("free_mass", 0.0)):
+            carried = free + self._carried(condition, values)
+            inverse = -(carried * (2.0 * np.pi * frequency[:, None, None]) ** 2)
+            phi = np.asarray(np.eye(3) / inverse, dtype=complex)
+            more = np.array([-self._accelerometers(condition) / carried if n == "sensor_mass" else 0.0 for n in names])
+            tool = more[:, None, None, None] * phi
+        else:
+            machine, shaken = self.changed(condition, values), self._shaken(excited, frequency)
+            make = partial(self.compliance, machine, self.slides(condition, values), frequency, shaken)
+            phi = kept(self._at_tool, (excited, machine, ()), make, RULES.modal_kept)
+            tool = self._tool_slopes(condition, values, names, machine, shaken)
+        moved = np.flatnonzero(np.any(tool, axis=(1, 2, 3)))
+        seen = np.zeros(tool.shape, dtype=complex)
+        seen[moved] = measured(tool[moved], frequency, values, accelerometer=not laser)
+        rows, columns = ([AXES.index(e[k]) for e in excited.entries] for k in (0, 1))
+        seen += sensors.of(phi, frequency, accelerometer=not laser)
+        scale = np.array([p.scale for p in parameters])[:, None]
+        return np.asarray((excited.whitened_each(seen[:, :, rows, columns]) * scale).T)
+
+    def _tool_slopes(
+        self, condition: Condition, values: Values, names: Sequence[str], machine: Changed, shaken: Shaken
+    ) -> Complex:
+        """Return the derivatives of the compliance at the tool with some parameters, (p, f, 3, 3)."""
+        frequency = excited_of(condition).frequency
+        chain = self._chain(condition, values, machine)
+        found = [chain.get(n, {}) for n in names]
+        parts = list(dict.fromkeys(part for weights in found for part in weights))
+        weights = np.array([[w.get(part, 0.0) for part in parts] for w in found]).reshape(len(names), len(parts))
+        by_part = part_slopes(machine, frequency, shaken, parts).reshape(len(parts), 9 * frequency.size)
+        out = (weights @ by_part.view(np.float64)).view(complex).reshape(len(names), frequency.size, 3, 3)
+        changes = {n: c for n, name in enumerate(names) if (c := self._joint_change(name, values)) is not None}
+        if changes:
+            out[list(changes)] += joint_slopes(machine, frequency, shaken, list(changes.values()))
+        for n, name in enumerate(names):
+            if name in RESIDUAL:
+                unit = tuple(float(name == other) for other in RESIDUAL)
+                out[n] += left_out(machine._replace(residual=unit, mode=()), frequency)
+            elif name in MODE:
+                out[n] += self._mode_slope(machine, frequency, values, name)
+        return out
+
+    def _chain(self, condition: Condition, values: Values, machine: Changed) -> dict[str, dict[Part, float]]:
+        """Return how the parts of a machine change with each parameter of `changed`."""
+        names, place, speed = self._names, self._place(condition), self._speed(condition)
+        root = math.sqrt(1.0 + values.get("mass_error", 0.0))
+        scale, k = 1.0 + values.get("scale_error", 0.0), machine.stiffness
+        direction = np.array(machine.direction).reshape(-1, 3)
+        # A mode that is stiffer is the same as one that the tool moves less.
+        stiffer: list[dict[Part, float]] = [
+            {("direction", r, a): -0.5 * float(direction[r, a]) / k[r] for a in range(3)} for r in range(len(k))
+        ]
+        found: dict[str, dict[Part, float]] = {}
+        for r, (f, z, s) in enumerate(zip(*(names[w] for w in ("frequency", "damping", "stiffness")), strict=True)):
+            given = values.get(z, float(self.model.damping[r]))
+            found[f] = {("frequency", r, 0): 1.0 / root}
+            found[z] = {("damping", r, 0): machine.damping[r] / given}
+            found[s] = {part: scale * w for part, w in stiffer[r].items()}
+        found["scale_error"] = {p: w * k[r] / scale for r, each in enumerate(stiffer) for p, w in each.items()}
+        found["mass_error"] = {("frequency", r, 0): -0.5 * f / root**2 for r, f in enumerate(machine.frequency)}
+        found["mass_error"] |= {("damping", r, 0): -0.5 * z / root**2 for r, z in enumerate(machine.damping)}
+        for r, name in zip(self._own, names["damping_place"], strict=True):
+            over = 1.0 + place * values.get(name, 0.0)
+            found[name] = {("damping", r, 0): machine.damping[r] * place / over if over > 0.01 else 0.0}
+        for r, name in zip(self._own, self._damping_at.get(place, ()), strict=False):
+            found[name] = {("damping", r, 0): machine.damping[r] / (1.0 + values.get(name, 0.0))}
+        for n, r in enumerate(self._own):
+            both = names["turn_a"][n], names["turn_b"][n]
+            at = np.array([values.get(name, 0.0) for name in both])
+            for name, unit in zip(both, np.eye(2), strict=True):
+                moved = (self._turned(n, *(at + STEP * unit)) - self._turned(n, *(at - STEP * unit))) / (2.0 * STEP)
+                found[name] = {("direction", r, a): float(moved[a]) for a in range(3)}
+        own = [(self._own[i], self._own[j]) for i, j in pairs(range(len(self._own)))]
+        for what, trend in self._trends(condition, values).items():
+            found |= {name: {("spring", r, s): trend} for name, (r, s) in zip(names[what], own, strict=True)}
+        bent = [values.get(name, 0.0) for name in names["curved"]]
+        found["posture_bend"] = {("spring", r, s): place**2 * x for (r, s), x in zip(own, bent, strict=True)}
+        across, natural = [(r, s) for r, s in own if r != s], self.model.frequency
+        for b in TWICE:
+            for name, (r, s) in zip(names[f"{b}gyroscopic"], across, strict=True):
+                found[name] = {("gyroscopic", r, s): speed / math.sqrt(natural[r] * natural[s])}
+        found["sensor_mass"] = {("mass", 0, 0): self._accelerometers(condition)}
+        return found
+
+    def _joint_names(self, which: str) -> tuple[str, ...]:
+        """Return the names of the parameters of a joint, its size first."""
+        of = dict(zip(LOOSE, (*JOINTS, "joint_iwan"), strict=True))[which]
+        return (of, *(("joint_iwan_travel",) if which == "iwan" else ()), *self._names[of])
+
+    def _joint_change(self, name: str, values: Values) -> JointChange | None:
+        """Return how a joint changes with a parameter; None where it does not."""
+        which = next((w for w in LOOSE if name in self._joint_names(w)), None)
+        if which is None:
+            return None
+        size = self._joint_names(which)[0]
+        there, step = values.get(size, 0.0) > 0.0, STEP * max(abs(values[name]), 0.01)
+        if not there and name != size:
+            return None
+        less, more = (
+            self._joint(which, {**values, name: values[name] + side * step}) for side in (-1.0 if there else 0.0, 1.0)
+        )
+        return JointChange(which, less, more, 2.0 * step if there else step)
+
+    def _joint(self, which: str, values: Values) -> tuple[float, ...]:
+        """Return a joint as a machine has it; empty for none."""
+        size = self._joint_names(which)[0]
+        if values.get(size, 0.0) <= 0.0:
+            return ()
+        travel = [values["joint_iwan_travel"]] if which == "iwan" else []
+        return (values[size], *travel, *self._vector(values, size))
+
+    def _mode_slope(self, machine: Changed, frequency: Real, values: Values, name: str) -> Complex:
+        """Return the derivative of the compliance with a parameter of the further mode, (f, 3, 3)."""
+        size, none = values.get(MODE[0], 0.0), machine._replace(residual=())
+        if name == MODE[0]:
+            # It is in proportion to its size.
+            unit = self._mode({**values, name: 1.0})
+            return left_out(none._replace(mode=unit), frequency)
+        if size <= 0.0:
+            return np.zeros((frequency.size, 3, 3), dtype=complex)
+        step = STEP * max(abs(values[name]), 0.01)
+        less, more = (
+            left_out(none._replace(mode=self._mode({**values, name: values[name] + side * step})), frequency)
+            for side in (-1.0, 1.0)
+        )
+        return np.asarray((more - less) / (2.0 * step))
+
     def in_the_cut(
         self,
         values: Values,
@@ -375,15 +532,16 @@ class ModalFrfs(Abilities):
 
     def _carried(self, condition: Condition, values: Values) -> float:
         """Mass that the tool carries beyond its own [kg]."""
-        settings = condition.settings
-        count = ACCELEROMETERS.get(str(settings.get("sensor", "")), 1.0)
-        return float(settings.get("added_mass", 0.0)) + count * values.get("sensor_mass", 0.0)
+        added = float(condition.settings.get("added_mass", 0.0))
+        return added + self._accelerometers(condition) * values.get("sensor_mass", 0.0)
+
+    def _accelerometers(self, condition: Condition) -> float:
+        return ACCELEROMETERS.get(str(condition.settings.get("sensor", "")), 1.0)
 
     def changed(self, condition: Condition, values: Values) -> Changed:
         """Return the machine that a set of values comes to under the settings of a condition."""
         names = self._names
         root, scale = math.sqrt(1.0 + values.get("mass_error", 0.0)), 1.0 + values.get("scale_error", 0.0)
-        slip, hardening = ((values[j], *self._vector(values, j)) if values.get(j, 0.0) > 0.0 else () for j in JOINTS)
         residual, place = tuple(values.get(n, 0.0) for n in RESIDUAL), self._place(condition)
         frequency, damping, stiffness = (
             [values.get(n, at) for n, at in zip(names[w], getattr(self.model, w).tolist(), strict=True)]
@@ -393,13 +551,6 @@ class ModalFrfs(Abilities):
             damping[r] *= max(1.0 + place * values.get(by, 0.0), 0.01)
         for r, by in zip(self._own, self._damping_at.get(place, ()), strict=False):
             damping[r] *= 1.0 + values.get(by, 0.0)
-        mode: tuple[float, ...] = ()
-        if (size := values.get("mode_compliance", 0.0)) > 0.0:
-            # Spherical angles: the elevation first.
-            turn, lift, length = values["mode_azimuth"], values["mode_elevation"], math.sqrt(size)
-            flat = length * math.cos(lift)
-            along = (flat * math.cos(turn), flat * math.sin(turn), length * math.sin(lift))
-            mode = (*along, values["mode_frequency"], values["mode_damping"])
         return Changed(
             tuple([f / root for f in frequency]),
             tuple([z / root for z in damping]),
@@ -408,18 +559,22 @@ class ModalFrfs(Abilities):
             self._springs(condition, values),
             self._gyroscopic(condition, values),
             self._carried(condition, values),
-            slip,
-            hardening,
-            mode,
+            self._joint("slip", values),
+            self._joint("hardening", values),
+            self._mode(values),
             residual if any(residual) else (),
-            self._iwan(values),
+            self._joint("iwan", values),
         )
 
-    def _iwan(self, values: Values) -> tuple[float, ...]:
-        """Joint whose elements have a largest travel; empty for none."""
-        if values.get("joint_iwan", 0.0) <= 0.0:
+    def _mode(self, values: Values) -> tuple[float, ...]:
+        """Return the further mode; empty for none."""
+        if (size := values.get("mode_compliance", 0.0)) <= 0.0:
             return ()
-        return (values["joint_iwan"], values["joint_iwan_travel"], *self._vector(values, "joint_iwan"))
+        # Spherical angles: the elevation first.
+        turn, lift, length = values["mode_azimuth"], values["mode_elevation"], math.sqrt(size)
+        flat = length * math.cos(lift)
+        along = (flat * math.cos(turn), flat * math.sin(turn), length * math.sin(lift))
+        return (*along, values["mode_frequency"], values["mode_damping"])
 
     def _vector(self, values: Values, joint: str) -> tuple[float, ...]:
         """Unit vector of the displacement of a joint, in mode space, (M,)."""
@@ -446,10 +601,15 @@ class ModalFrfs(Abilities):
         if not any(p or q for p, q in turns):
             return self._as_given
         out = np.array(self.model.direction, dtype=float)
-        for r, (u, a, b), (p, q) in zip(self._own, self._frames, turns, strict=True):
-            if (angle := math.hypot(p, q)) > 0.0:
-                out[r] = math.cos(angle) * u + math.sin(angle) / angle * (p * a + q * b)
+        for n, (r, (p, q)) in enumerate(zip(self._own, turns, strict=True)):
+            out[r] = self._turned(n, p, q)
         return tuple(out.ravel().tolist())
+
+    def _turned(self, n: int, p: float, q: float) -> Real:
+        """Return the vector of one of the own modes turned across itself."""
+        u, a, b = self._frames[n]
+        angle = math.hypot(p, q)
+        return np.asarray(math.cos(angle) * u + math.sin(angle) / angle * (p * a + q * b)) if angle > 0.0 else u
 
     @cached_property
     def _as_given(self) -> tuple[float, ...]:
@@ -457,12 +617,15 @@ class ModalFrfs(Abilities):
 
     def _springs(self, condition: Condition, values: Values) -> tuple[float, ...]:
         """Change of the modal stiffnesses with position, order and speed, and by itself, (M^2,); empty for none."""
+        upper = self._upper(values, self._trends(condition, values), 0)
+        return () if upper is None else tuple((upper + np.triu(upper, 1).T).ravel().tolist())
+
+    def _trends(self, condition: Condition, values: Values) -> dict[str, float]:
+        """Return what multiplies each group of springs under the settings of a condition."""
         place, speed = self._place(condition), self._speed(condition)
         trends = {"posture": place, "drift": float(condition.settings.get("order", 0.0))}
         trends |= {f"{b}bearings": speed**2 for b in TWICE} | {"coupling": 1.0}
-        trends["curved"] = place * (1.0 + values.get("posture_bend", 0.0) * place)
-        upper = self._upper(values, trends, 0)
-        return () if upper is None else tuple((upper + np.triu(upper, 1).T).ravel().tolist())
+        return trends | {"curved": place * (1.0 + values.get("posture_bend", 0.0) * place)}
 
     def _gyroscopic(self, condition: Condition, values: Values) -> tuple[float, ...]:
         """Skew coupling of the modes by the turning spindle [1/Hz], (M^2,); empty for none."""

@@ -9,7 +9,7 @@ the clock of a recording is its own: errors that all lines of one condition shar
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import permutations
@@ -37,6 +37,7 @@ SENSORS = (*_ACCELEROMETER, *_FORCE, "skew")
 """Parameters of the sensors and of the hits."""
 
 _DEGREES = 180.0 / math.pi
+_STEP = 1e-6  # half of the step of differences of small smooth matrices
 
 
 def sensor_nuisances(tolerances: Tolerances) -> tuple[Parameter, ...]:
@@ -95,6 +96,41 @@ def measured(phi: Complex, frequency: Real, values: Values, accelerometer: bool 
         out = found.mounting @ out
     skew = values.get("skew", 0.0)
     return out * np.exp(-2j * np.pi * frequency * skew)[:, None, None] if skew else out
+
+
+class SensorSlopes(NamedTuple):
+    """How what sensors and hits do changes with some parameters: matrices before and behind the machine, a delay."""
+
+    values: Values
+    force: Real  # (p, 3, 3)
+    mounting: Real  # (p, 3, 3)
+    late: NDArray[np.bool_]  # which is the delay, (p,)
+
+    def of(self, phi: Complex, frequency: Real, accelerometer: bool) -> Complex:
+        """Return the changes of what is measured of a compliance (f, 3, 3), shape (p, f, 3, 3)."""
+        out = np.zeros((len(self.late), *phi.shape), dtype=complex)
+        found = _matrices(tuple([self.values.get(n, 0.0) for n in SENSORS]))
+        before = np.eye(3) if found.force is None else found.force
+        behind = np.eye(3) if found.mounting is None or not accelerometer else found.mounting
+        hit = np.any(self.force, axis=(1, 2))
+        out[hit] = behind @ phi @ self.force[hit][:, None]
+        if accelerometer:
+            seen = np.any(self.mounting, axis=(1, 2))
+            out[seen] += self.mounting[seen][:, None] @ (phi @ before)
+        out[self.late] += -2j * np.pi * frequency[:, None, None] * (behind @ phi @ before)
+        skew = self.values.get("skew", 0.0)
+        return np.asarray(out * np.exp(-2j * np.pi * frequency * skew)[:, None, None] if skew else out)
+
+
+def sensor_slopes(values: Values, names: Sequence[str]) -> SensorSlopes:
+    """Return how sensors and hits change with some parameters; what has no slope (a sign) does not."""
+    before, behind = np.zeros((2, len(names), 3, 3))
+    for n, name in enumerate(names):
+        for own, make, out in ((_FORCE, force, before), (_ACCELEROMETER, mounting, behind)):
+            if name in own:
+                less, more = (make({**values, name: values.get(name, 0.0) + side * _STEP}) for side in (-1.0, 1.0))
+                out[n] = (more - less) / (2.0 * _STEP)
+    return SensorSlopes(values, before, behind, np.array([name == "skew" for name in names], dtype=bool))
 
 
 class _Matrices(NamedTuple):

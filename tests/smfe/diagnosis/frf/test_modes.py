@@ -243,6 +243,44 @@ class TestFamily:
         )
         np.testing.assert_array_equal(prediction(two, 0, sensor_mass=0.5), prediction(null, 0, sensor_mass=1.0))
 
+    @pytest.mark.parametrize("keys", [(), ("joint_micro_slip",), ("joint_micro_slip/iwan", "joint_hardening")])
+    def test_slopes_in_closed_form_are_those_of_differences(self, null: ModalFrfs, keys: tuple[str, ...]) -> None:
+        """With rotors, a mass, a further mode and sensors that are off; sizes at their null but for the joints."""
+        hit = [replace(c, data=replace(c.data, method="hammer")) for c in null.conditions]  # type: ignore[type-var]
+        fam, rng = replace(null, conditions=tuple(hit)), np.random.default_rng(1)
+        model = Model(fam, fam.conditions)
+        u = model.null()
+        u[model.nuisance] = 0.3 * rng.standard_normal(model.nuisance.size)
+        for k, cause in enumerate(model.causes):
+            if cause.key in keys:
+                given = (np.array(cause.starts[0]) - model.start[model.of_cause[k]]) / model.scale[model.of_cause[k]]
+                u[model.of_cause[k]] = given + 0.2 * rng.uniform(size=given.size)
+            elif cause.id in ("posture", "spindle_speed_dynamics", "accelerometer_mass") or (
+                cause.key == "missing_mode/in band" and not keys
+            ):
+                u[model.of_cause[k]] = 0.2 * rng.uniform(size=len(cause.parameters))
+        u = np.clip(u, model.low, model.high)
+        found = fam.slopes(model.conditions, model.values(u), model.parameters)
+        assert found is not None
+        sign = [p for p in model.parameters if p.name == "reversed_x"]
+        assert all(not np.any(x) for x in fam.slopes(model.conditions, model.values(u), sign) or [np.ones(1)])
+        values, step = model.values(u), 1e-4
+        for j, p in enumerate(model.parameters):
+            # What is on its bound moves one way only, in proportion as far as it goes here.
+            sides = [max(values[p.name] - step * p.scale, p.low), min(values[p.name] + step * p.scale, p.high)]
+            for c, slope in zip(model.conditions, found, strict=True):
+                below, above = (fam.predict(c, values | {p.name: x}) for x in sides)
+                told = (above - below) * p.scale / (sides[1] - sides[0])
+                far = np.linalg.norm(told)
+                assert np.linalg.norm(slope[:, j] - told) < 2e-3 * far + 1e-5, (p.name, c.name)
+
+    def test_a_joint_that_a_sine_shakes_has_no_slopes_in_closed_form(self, null: ModalFrfs) -> None:
+        joint = next(p for c in null.causes for p in c.parameters if p.name == "joint_micro_slip")
+        sines = [c for c in null.conditions if isinstance(c.data, Excited) and c.data.method == "actuator"]
+        assert sines
+        assert null.slopes(sines, start(null), [joint]) is None
+        assert null.slopes(sines, start(null), null.nuisances) is not None
+
     def test_bounds_exclude_what_is_not_physics(self, null: ModalFrfs) -> None:
         low = {p.name: p.low for c in null.causes for p in c.parameters} | {p.name: p.low for p in null.nuisances}
         for name in ("sensor_mass", "joint_micro_slip", "joint_hardening", "mode_compliance", "residual_xx"):
