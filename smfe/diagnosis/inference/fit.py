@@ -91,10 +91,7 @@ def bounded_step(slope: Real, residual: Real, low: Real, high: Real) -> tuple[Re
     """Solve ``min |residual + slope step|^2`` for ``low <= step <= high``; return the step and the decrease."""
     if slope.shape[1] == 0:
         return np.zeros(0), 0.0
-    # Of Q only its product with the residual is needed: that of a further column.
-    whole = np.asarray(np.linalg.qr(np.column_stack([slope, residual]), mode="r"))
-    count = min(slope.shape)
-    r, aim = whole[:count, :-1], -whole[:count, -1]
+    r, aim = _triangle(slope, residual)
     size = np.linalg.norm(r, axis=0)
     size[size == 0.0] = 1.0
     step = _least(r / size, aim) / size
@@ -102,6 +99,27 @@ def bounded_step(slope: Real, residual: Real, low: Real, high: Real) -> tuple[Re
         step = lsq_linear(r, aim, bounds=(low, high + 1e-12 * (high <= low)), method="bvls").x
     left = r @ step - aim
     return np.asarray(step), max(float(aim @ aim - left @ left), 0.0)
+
+
+def _triangle(slope: Real, residual: Real) -> tuple[Real, Real]:
+    """Return R of ``slope = Q R``, and ``-Q^T residual``.
+
+    Of many values by the products of the columns, in a sixth of the time, where these are far from dependent: what that
+    costs is the square of their condition times rounding.
+    """
+    if slope.shape[0] >= RULES.many:
+        square = slope.T @ slope
+        size = np.sqrt(np.maximum(np.diag(square), 1e-300))
+        try:
+            lower = np.linalg.cholesky(square / np.outer(size, size))
+        except np.linalg.LinAlgError:
+            lower = np.zeros((1, 1))
+        if np.diag(lower).min() > RULES.independent:
+            return lower.T * size, -solve_triangular(lower, (slope.T @ residual) / size, lower=True)
+    # Of Q only its product with the residual is needed: that of a further column.
+    whole = np.asarray(np.linalg.qr(np.column_stack([slope, residual]), mode="r"))
+    count = min(slope.shape)
+    return whole[:count, :-1], -whole[:count, -1]
 
 
 def _least(r: Real, aim: Real) -> Real:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from process.types import Real
-from smfe.diagnosis.inference.model import Model
+from smfe.diagnosis.inference.model import Index, Model
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import Signature, Tangent
 
@@ -55,8 +55,12 @@ def score(model: Model, signatures: Sequence[Signature]) -> Score:
     """Score of one signature, or of several causes together; a scaled parameter of zero is the null."""
     columns = np.concatenate([s.columns for s in signatures], axis=1)
     free = np.concatenate([s.free for s in signatures])
-    gram = columns.T @ columns + np.diag(model.weight[free] ** 2)
-    return Score(gram, model.high[free] > 1e-9, model.low[free] < -1e-9)
+    return Score(columns.T @ columns + np.diag(model.weight[free] ** 2), *_ways(model, free))
+
+
+def _ways(model: Model, free: Index) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which parameters can rise from their null, and which can fall."""
+    return model.high[free] > 1e-9, model.low[free] < -1e-9
 
 
 def combined_gain(model: Model, at: Tangent, signatures: Sequence[Signature]) -> float:
@@ -189,12 +193,12 @@ def detectable(model: Model, at: Tangent, limit: float) -> tuple[Detectable, ...
 def _size(model: Model, signature: Signature, j: int, level: float) -> float:
     """Size of a scaled parameter whose likelihood ratio exceeds a level with 95 %."""
     place = int(np.flatnonzero(signature.free == j)[0])
-    own = score(model, [signature])
     square = float(signature.columns[:, place] @ signature.columns[:, place])
     if square <= 0.0:
         return math.inf
-    one_sided = bool(own.gram.shape[0] == 1 and not (own.up[0] and own.down[0]))
-    return math.sqrt(noncentrality(max(level, 1e-6), own.gram.shape[0], one_sided) / square)
+    up, down = _ways(model, signature.free)
+    one_sided = bool(up.size == 1 and not (up[0] and down[0]))
+    return math.sqrt(noncentrality(max(level, 1e-6), up.size, one_sided) / square)
 
 
 def noncentrality(level: float, degrees_of_freedom: int, one_sided: bool = False) -> float:
