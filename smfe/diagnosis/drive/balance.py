@@ -346,12 +346,17 @@ def _wave(
     A strong one is learned as noise by the whitener: it is looked for with one that has no memory as well, and judged
     by one that was learned with the wave in the reference.
     """
-    found = noise.strongest_wave(phase, plain.left, whitener_of(plain), lowest, highest, plain.sizes)
-    hidden = noise.strongest_wave(phase, plain.left, noise.without_memory(plain.moves), lowest, highest, plain.sizes)
+
+    def passed(cycles: Real) -> Real:
+        return plain.filter.gain(cycles / plain.interval)
+
+    def strongest(whitener: Whitener) -> tuple[float, float] | None:
+        return noise.strongest_wave(phase, plain.left, whitener, lowest, highest, plain.sizes, passed)
+
+    found, hidden = strongest(whitener_of(plain)), strongest(noise.without_memory(plain.moves))
     for wave in (hidden, found):
         if wave is not None:
-            own = whitener_of(with_wave(wave[0]))
-            again = noise.strongest_wave(phase, plain.left, own, lowest, highest, plain.sizes)
+            again = strongest(whitener_of(with_wave(wave[0])))
             if again is not None and again[1] < RULES.certain:
                 return again[0]
     return None if found is None or found[1] >= INFERENCE.false_alarm else found[0]

@@ -51,6 +51,18 @@ class Resampler:
         diagonals = as_strided(products, (count, weights.shape[0]), (down, down + across), writeable=False)
         return np.asarray(diagonals.sum(axis=1))
 
+    def gain(self, frequency: Real) -> Real:
+        """Return what it passes of sines of some frequencies [Hz]; between a thousand of them linearly."""
+        return np.asarray(np.interp(frequency, *_gains(self)))
+
+
+@lru_cache(maxsize=16)
+def _gains(filter_: Resampler) -> tuple[Real, Real]:
+    known = np.linspace(0.0, 2.0 * filter_.cutoff, 1001)
+    times = filter_.step * np.arange(-filter_.margin, filter_.margin + 1, dtype=np.float64)
+    weights = filter_.step * kernel(times, filter_.cutoff)
+    return known, np.asarray(np.cos(2.0 * math.pi * np.outer(known, times)) @ weights)
+
 
 @lru_cache(maxsize=256)
 def _weights(cutoff: float, step: float, every: int, reach: int, advance: float) -> Real:

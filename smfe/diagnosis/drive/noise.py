@@ -21,7 +21,7 @@ ratio N r. Of 60 rigid axes that were simulated ten were taken for flexible, or 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -232,14 +232,21 @@ def unbroken(runs: Sequence[int], order: int) -> Real:
 
 
 def strongest_wave(
-    phase: Real, left: Real, whitener: Whitener, lowest: float, highest: float, runs: Sequence[int] = ()
+    phase: Real,
+    left: Real,
+    whitener: Whitener,
+    lowest: float,
+    highest: float,
+    runs: Sequence[int] = (),
+    passed: Callable[[Real], Real] = np.ones_like,
 ) -> tuple[float, float] | None:
     """Return the wave that explains most of a residual [N], in cycles per second or metre, and its p-value.
 
     Least squares of cosine and sine over the phase, time [s] or position [m], in the whitened residual. Noise reaches
     twice ``z`` somewhere between the lowest and the highest wave with a probability of ``W sqrt(z) exp(-z)``, ``W =
     (highest - lowest) sqrt(4 pi var(phase))`` (Baluev, MNRAS 385, 2008), which pays for looking everywhere. None where
-    there is no room between lowest and highest. `runs` are numbers of values that follow each other without a gap.
+    there is no room between lowest and highest. `runs` are numbers of values that follow each other without a gap;
+    `passed` is what the residual has of a wave of so many cycles from value to value: of a ripple at speed nothing.
     """
     waves = np.arange(lowest, highest, 0.2 / max(float(np.ptp(phase)), 1e-300))
     if waves.size == 0:
@@ -249,7 +256,7 @@ def strongest_wave(
     white = white / math.sqrt(float(np.sum(np.square(white)) / np.sum(used)))
     waves = waves[np.argsort(-_roughly(waves, phase, white, whitener, used))[: RULES.hopeful]]
     parts = np.array_split(waves, waves.size * phase.size // RULES.at_once + 1)
-    power = np.concatenate([_powers(part, phase, white, whitener, used) for part in parts])
+    power = np.concatenate([_powers(part, phase, white, whitener, used, passed) for part in parts])
     best = int(np.argmax(power))
     z = max(0.5 * float(power[best]), 1.0)
     width = (highest - lowest) * math.sqrt(4.0 * math.pi * float(np.var(phase)))
@@ -275,11 +282,13 @@ def _roughly(waves: Real, phase: Real, white: Real, whitener: Whitener, used: Re
     return np.asarray(np.square(moment) / np.maximum(response, 1e-300))
 
 
-def _powers(waves: Real, phase: Real, white: Real, whitener: Whitener, used: Real) -> Real:
+def _powers(
+    waves: Real, phase: Real, white: Real, whitener: Whitener, used: Real, passed: Callable[[Real], Real]
+) -> Real:
     """Decrease of the squares of a white residual by cosine and sine of each wave."""
-    wave = signal.oaconvolve(
-        np.exp(2j * math.pi * np.outer(waves, phase)), whitener.taps[None, :], mode="valid", axes=1
-    )
+    through = passed(np.outer(waves, np.abs(np.gradient(phase))))
+    wave = through * np.exp(2j * math.pi * np.outer(waves, phase))
+    wave = signal.oaconvolve(wave, whitener.taps[None, :], mode="valid", axes=1)
     cosine, sine = wave.real * used, wave.imag * used
     cc, ss, cs = (np.einsum("kn,kn->k", a, b) for a, b in ((cosine, cosine), (sine, sine), (cosine, sine)))
     c, s = cosine @ white, sine @ white

@@ -379,9 +379,9 @@ def _learn(
     """Find what the record itself has to say: band, noise, starts of the nuisances, wavelength of a ripple."""
     known, above = lead is not None, RULES.above_noise
     if cutoff is None:
-        cutoff, above = _usable_band(raw, lead, delay, tolerances.material)
+        cutoff, above, lead = _usable_band(raw, lead, delay, tolerances.material)
     limit = lost_beyond(raw, balance_of(raw, cutoff, None, delay=delay))
-    lead, line = periodic(raw, balance_of(raw, cutoff, limit, delay=delay), limit, lead, delay)
+    lead, line = periodic(raw, balance_of(raw, cutoff, limit, lead, delay=delay), limit, lead, delay)
     full = balance_of(raw, cutoff, limit, lead, line, delay)
     whitener = whitener_of(full)
     law = None
@@ -422,11 +422,12 @@ def _learn(
     )
 
 
-def _usable_band(raw: Channels, lead: float | None, delay: float, material: float) -> tuple[float, float]:
-    """Return the band of the comparison [Hz], and how far the force stands above the noise at its end, in power.
+def _usable_band(raw: Channels, lead: float | None, delay: float, material: float) -> tuple[float, float, float | None]:
+    """Return the band of the comparison [Hz], how far the force stands above the noise at its end, and a lead [m].
 
     A ripple and a tone that matter end the band no more than anything else that is explained. To reach a tone it may
-    end where the force stands 13 dB above the noise.
+    end where the force stands 13 dB above the noise. The lead is that of a ripple which is seen in a wider band, at
+    speeds at which that of the comparison has nothing of it.
     """
     widest = RULES.widest / raw.step
     limit = lost_beyond(raw, balance_of(raw, widest, None, delay=delay))
@@ -438,12 +439,12 @@ def _usable_band(raw: Channels, lead: float | None, delay: float, material: floa
     after = balance_of(raw, middle, limit, *waves, delay)
     explained = float(np.mean(np.square(before.left)) - np.mean(np.square(after.left)))
     if explained < (RULES.worth_a_band * material) ** 2 * float(np.mean(np.square(before.force))):
-        return cutoff, RULES.above_noise
+        return cutoff, RULES.above_noise, waves[0]
     cutoff = max(cutoff, usable_band(balance_of(raw, widest, limit, *waves, delay)))
     reach = RULES.above_line * (waves[1] or 0.0)
     if cutoff < reach <= usable_band(after, RULES.above_line_noise):
-        return reach, RULES.above_line_noise
-    return cutoff, RULES.above_noise
+        return reach, RULES.above_line_noise, waves[0]
+    return cutoff, RULES.above_noise, waves[0]
 
 
 def _nuisances(balance: Balance, mass: tuple[float, float] | None, tolerances: Tolerances) -> tuple[Parameter, ...]:

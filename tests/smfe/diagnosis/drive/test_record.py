@@ -297,6 +297,22 @@ def test_gains_of_a_law_that_leaves_more_are_known_less() -> None:
     assert law.found.velocity == pytest.approx(VELOCITY_GAIN)
 
 
+def test_a_wave_is_held_against_what_the_band_passes_of_it() -> None:
+    """Slow moves show a ripple, fast ones next to nothing: noise there must not speak against it."""
+    rng, turns = np.random.default_rng(0), np.where(np.arange(6000) % 600 < 120, 0.1, 0.4)
+    phase = np.cumsum(np.where(np.arange(6000) % 1200 < 600, turns, -turns))
+
+    def passed(cycles: np.ndarray) -> np.ndarray:
+        return np.where(cycles < 0.3, 1.0, 0.0)
+
+    left = 0.4 * passed(turns) * np.cos(2.0 * np.pi * phase) + rng.standard_normal(phase.size)
+    white = Whitener(np.zeros(1), 1.0)
+    (wave, p_value), alike = (strongest_wave(phase, left, white, 0.9, 1.1, (), x) for x in (passed, np.ones_like))
+    assert wave == pytest.approx(1.0, abs=0.01)
+    assert alike is not None
+    assert p_value < 1e-10 * alike[1]
+
+
 def test_a_ripple_beyond_the_band_counts_by_its_force() -> None:
     """Of 5 N over 1 mm a band of 20 Hz sees little at speed; it counts by its rms all the same."""
     rippled = family(Axis(coulomb=20.0), seconds=24.0, delay=0.5 * STEP, lead=1e-3, cutoff=20.0)
