@@ -178,7 +178,9 @@ def _borne_out(bench: Bench, at: Fit, released: Sequence[Released]) -> bool:
     smaller, larger = (
         b.held_out(f, chosen) if chosen else within(b.model, b.target, f) for b, f in ((before, as_given), (bench, at))
     )
-    if not as_given.converged or smaller is None or larger is None:
+    # What has all but ended where the difference is much larger may be held against it.
+    hopeless = not as_given.converged and as_given.promised >= min(r.ratio for r in released)
+    if hopeless or smaller is None or larger is None:
         return True
     gain = compare(smaller, larger, bench.rng(12, len(at.causes)))
     gain = gain if chosen else replace(gain, held_out="blocks of values")
@@ -196,7 +198,10 @@ def as_declared(bench: Bench, at: Fit, released: Sequence[Released]) -> tuple[Be
     start = at.u.copy()
     start[~np.isin(np.arange(start.size), before.model.free(at.causes))] = 0.0
     found = fit(before.model, before.target, at.causes, start)
-    return before, found if found.converged else before.extend(before.null(), at.causes)
+    if found.converged:
+        return before, found
+    other = before.extend(before.null(), at.causes)
+    return before, found if found.promised > 0.0 and found.chi2 < other.chi2 else other
 
 
 def _prepared(
