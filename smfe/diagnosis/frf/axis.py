@@ -113,6 +113,7 @@ class MachineFrfs(Abilities):
         """Return the compliance that a set of values predicts, whitened like the data."""
         excited = excited_of(condition)
         found = self.baseline.effective(values, condition.settings, excited.feed.get(self.baseline.axis, 0.0))
+        found = self.baseline.under(found, excited.controller)
         phi = kept(
             self._kept, (excited.way, found), lambda: self._machine(found).compliance(excited), RULES.predictions_kept
         )

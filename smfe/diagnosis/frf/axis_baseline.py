@@ -179,6 +179,13 @@ class AxisBaseline:
             values["contact"] if max(forth.static, back.static) > 0.0 else 0.0,
         )
 
+    def under(self, found: Effective, controller: str | None) -> Effective:
+        """Return the same with all controls but one as declared: what they are off changes nothing under this one."""
+        if controller not in self.servos:
+            return found
+        own = zip(self.servos.items(), found.servos, strict=True)
+        return found._replace(servos=tuple(off if name == controller else s for (name, s), off in own))
+
     def _side(self, values: Values, n: int) -> Side:
         """Friction forth (0) or back (1)."""
 
