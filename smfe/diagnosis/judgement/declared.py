@@ -249,7 +249,7 @@ def _released(linear: Declared, size: Size, material: float) -> list[Released]:
         values, deviations = [], []
         for g in instead:
             u, covariance = linear.solve(linear.without(weight, g))
-            place = linear.groups[g]
+            u, place = linear.possible(u), linear.groups[g]
             values.append(dict(zip(linear.free[place].tolist(), u[place].tolist(), strict=True)))
             spread = np.sqrt(np.maximum(np.diag(covariance)[place], 0.0))
             deviations.append(dict(zip(linear.free[place].tolist(), spread.tolist(), strict=True)))
