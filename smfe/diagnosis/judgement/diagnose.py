@@ -108,6 +108,7 @@ def diagnose(
             assumed, known = at.causes, dict(bench.fits)
             conditions = family.as_found(bench.model.values(at.u))
         declared, objection = _contradicted(bench, at, worth), ""
+        unproven: list[Released] = []
         if declared:
             again, _ = _prepared(family, conditions, seed, progress, held_out, helpers, worth, declared)
             again.known = dict(bench.fits)
@@ -118,7 +119,7 @@ def diagnose(
                 elif _borne_out(again, found, declared):
                     bench, at, steps = again, found, [*(s for s in steps if s.accepted), *more]
                 else:
-                    declared = []
+                    declared, unproven = [], declared
         elif at.causes and (declared := _contradicted(bench, bench.null(), worth)):
             # What was declared wrongly may do what the causes found do, with fewer parameters.
             again, _ = _prepared(family, conditions, seed, progress, held_out, helpers, worth, declared)
@@ -133,7 +134,23 @@ def diagnose(
         if not objection and (name := _at_limit(bench, at)):
             objection = IMPOSSIBLE.format(name)
         objection = objection or drifting(bench, at, worth)
-        return _finding(bench, apart, at, steps, declared, worth, objection)
+        finding = _finding(bench, apart, at, steps, declared, worth, objection)
+        if unproven and finding.verdict == "consistent":
+            return replace(finding, verdict="insufficient_data", reason=_not_borne_out(bench, unproven))
+        return finding
+
+
+def _not_borne_out(bench: Bench, released: Sequence[Released]) -> str:
+    """Say what the data contradict that conditions no fit used do not bear out: neither right nor wrong is shown."""
+    said = [
+        bench.model.parameters[max(values, key=lambda j: abs(values[j]) / _prior(bench.model, j))].said or given
+        for r in released
+        for given, values in zip(r.given, r.values, strict=True)
+    ]
+    return (
+        f"the data contradict what was declared ({' or '.join(said)}), but other values predict conditions that they "
+        "were not fitted to no better: more of them tell which"
+    )
 
 
 def _contradicted(bench: Bench, at: Fit, worth: Worth) -> list[Released]:

@@ -9,6 +9,7 @@ from scipy import stats
 from smfe.diagnosis.inference.fit import Target, fit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
+from smfe.diagnosis.judgement import diagnose as judgement
 from smfe.diagnosis.judgement.declared import Declared, contradicted
 from smfe.diagnosis.judgement.diagnose import diagnose
 from smfe.diagnosis.judgement.materiality import Worth, predicted_size
@@ -65,6 +66,15 @@ def test_coefficients_a_third_wrong_are_named_and_the_gain_that_could_as_well_be
         # Of what was measured; the other of the two keeps a part within its prior.
         assert cause.size == pytest.approx(0.35 / 1.35, rel=0.05)
     assert found.gain.db > 20.0
+
+
+def test_what_the_data_contradict_is_not_consistent_though_conditions_left_out_do_not_bear_it_out(monkeypatch):
+    """Coefficients 35 % off are neither named nor called right where nothing can prove them on data no fit has seen."""
+    monkeypatch.setattr(judgement, "_borne_out", lambda *_: False)
+    found = diagnose(measured({"coefficients": 0.35}), worth=WORTH)
+    assert (found.verdict, found.causes) == ("insufficient_data", ())
+    assert "contradict what was declared (coefficients or gain)" in found.reason
+    assert diagnose(measured({"coefficients": 0.05}), worth=WORTH).verdict == "consistent"
 
 
 def test_what_is_found_of_a_declared_value_is_one_number_whatever_else_is_fitted_beside_it():
