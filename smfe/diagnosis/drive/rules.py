@@ -75,7 +75,7 @@ class DriveRules:
     pulse_share: float = 0.02  # of the highest pulse, from which others count
     shortest_pulse: int = 3  # [samples]
     told: float = 5e-3  # standard deviation of the gains that an exact law shows [1]
-    off: float = 2.5  # the same over the share of the force that a law leaves
+    off: float = 6.0  # the same over the share of the force that a law leaves: of twelve records the worst was 12.5
     vague: float = 0.05  # standard deviation beyond which gains are not told [1]
     even: float = 0.02  # share of their height by which pulses differ
     floor: float = 1e-8  # of the noise over the range of the force

@@ -284,14 +284,14 @@ def test_the_control_law_shows_the_gain_of_the_force_channel() -> None:
 
 
 def test_gains_of_a_law_that_leaves_more_are_known_less() -> None:
-    """A hundredth of the force that is left makes 2.5 % of them; beyond 5 % nothing is said of them."""
+    """A two-hundredth of the force that is left makes 3 % of them; beyond 5 % nothing is said of them."""
     taps = np.zeros(20)
     taps[0], taps[1] = VELOCITY_GAIN * POSITION_GAIN, -VELOCITY_GAIN
     law = ControlLaw(Gains(POSITION_GAIN, VELOCITY_GAIN), np.array([1.0, 0.0, 0.0, 0.0]), 1.0, taps)
     assert law.uncertainty(1e4) == pytest.approx(0.005)
-    assert law.uncertainty(100.0) == pytest.approx(0.025)
-    assert law.tells(100.0)
-    assert not law.tells(40.0)
+    assert law.uncertainty(200.0) == pytest.approx(0.03)
+    assert law.tells(200.0)
+    assert not law.tells(100.0)
     assert not replace(law, whole=-taps).tells(1e4)
     assert law.found.position == pytest.approx(POSITION_GAIN)
     assert law.found.velocity == pytest.approx(VELOCITY_GAIN)
