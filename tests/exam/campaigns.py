@@ -13,6 +13,7 @@ same to what is measured (`Hiding.alike`): there alone anything else than the fi
 from __future__ import annotations
 
 import argparse
+import ast
 import hashlib
 import json
 import os
@@ -33,6 +34,7 @@ from unittest import mock
 if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from truth import imperfect
 from truth.imperfect.families import FAMILIES, draw
 
 import smfe
@@ -44,7 +46,7 @@ from smfe.commands import diagnose as command
 SEEDS = {"null": 1_000, "effect": 20_000, "unknown": 40_000, "two": 60_000, "outside": 80_000, "sizes": 90_000}
 """First seed of each part of a trial exam, whose failures are looked at and repaired."""
 
-FRESH = 6_000_000
+FRESH = 7_000_000
 """What is added for the exam that counts: seeds that nothing was tuned on."""
 
 KEPT = Path("tests/exam/answers/campaigns.jsonl")
@@ -122,13 +124,27 @@ def _said(case, hidden, ids, verdict, error, seconds, found) -> Said:
 
 @cache
 def code() -> str:
-    """Return what tells this state of the diagnosis from any other: a hash of its sources and of the physics below."""
+    """Return what tells this state of diagnosis and generator from any other.
+
+    A hash of what they and the physics below them do: words of comments and docstrings are none of it.
+    """
     found = hashlib.sha256()
     root = Path(smfe.__file__).parents[1]
-    for package in ("process", "stability", "smfe/diagnosis"):
-        for path in sorted((root / package).rglob("*.py")):
-            found.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    places = [root / package for package in ("process", "stability", "smfe/diagnosis")]
+    for place in (*places, Path(imperfect.__file__).parent):
+        for path in sorted(place.rglob("*.py")):
+            found.update(f"{place.name}/{path.relative_to(place).as_posix()}\0{meaning(path.read_text())}\0".encode())
     return found.hexdigest()[:12]
+
+
+def meaning(source: str) -> str:
+    """Return the syntax tree of a source without its docstrings."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [s for s in body if not (isinstance(s, ast.Expr) and isinstance(s.value, ast.Constant))]
+    return ast.dump(tree)
 
 
 def _cpu() -> float:

@@ -9,7 +9,7 @@ from truth.imperfect.bench import Answer
 from truth.imperfect.families import FAMILIES
 
 from exam.campaign_scores import Case, Said, page, scores
-from exam.campaigns import OutOfPatienceError, cases, code, examine, patient, sit
+from exam.campaigns import OutOfPatienceError, cases, code, examine, meaning, patient, sit
 from exam.campaigns import _said as kept_of
 
 
@@ -91,6 +91,13 @@ def test_the_page_says_how_many_answers_an_earlier_state_of_the_code_gave() -> N
     assert "earlier" not in page(every, code="new")
     every[:2] = [replace(a, code="old") for a in every[:2]]
     assert " 2 of the answers were given by an earlier state of the code." in page(every, code="new")
+
+
+def test_an_answer_is_as_old_as_the_last_change_of_what_the_code_does_whatever_its_words() -> None:
+    """A comment or a docstring that is put right does not make hours of answers those of an earlier code."""
+    was = 'def f(x):\n    """Double."""\n    return 2 * x\n'
+    assert meaning(was) == meaning('def f(x):\n    # Twice.\n    """Return twice."""\n    return 2 * x\n')
+    assert meaning(was) != meaning(was.replace("2", "3"))
 
 
 @pytest.mark.slow
