@@ -93,6 +93,9 @@ class Said:
         heard = [ids for ids in effects if not set(ids) & self.faults]
         if not named and not (heard == [] and self.verdict == "consistent"):
             return False
+        # What the audit is sure of may be named by the diagnosis as well.
+        audited = {i for ids in effects if ids not in heard for i in ids}
+        sets = [s for s in sets if not set(s) & audited]
         merged = _merged(heard, sets)
         if len(sets) != len(merged):
             return False

@@ -61,6 +61,8 @@ def test_causes_that_the_data_do_not_separate_stand_for_one() -> None:
     assert other.wrong
     audited = replace(said, verdict="consistent", causes=(), audit=(("fault", "sensor_gain"),))
     assert audited.right
+    assert replace(audited, verdict="named", causes=(("sensor_gain", -1),)).right
+    assert not replace(audited, verdict="named", causes=(("sensor_gain", -1), ("posture", -1))).right
     assert not replace(audited, audit=(("warning", "sensor_gain"),)).right
 
 
