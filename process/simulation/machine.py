@@ -21,6 +21,7 @@ from scipy import signal
 
 from process.drive.sampled_servo import sampled_transition
 from process.errors import InputError
+from process.friction.laws import LuGre
 from process.friction.linearised import FrictionImpedance
 from process.machine.machine import Machine
 from process.machine.modes import ModalModel
@@ -322,9 +323,9 @@ class RepeatedImpact:
             self.rate = sample_rate * max(math.ceil(1.0 / (sample_rate * _per_pole(fastest)) - 1e-9), 1)
             require_fine(p, fastest, 1.0 / self.rate)
             self._prepared = prepare(p, system, 1.0 / self.rate, round(run.total * self.rate))
-        self._accuracy = accuracy
+        self._accuracy, self._axis = accuracy, axis
 
-    def displacement(self, impact: Excitation, rest: float = RULES.at_rest) -> Real:
+    def displacement(self, impact: Excitation, rest: float = RULES.at_rest, pull: float = 0.0) -> Real:
         """Return the displacement of the tool [m] from the ramp at each sample, shape (3, m), until it is at rest.
 
         Parameters
@@ -334,15 +335,33 @@ class RepeatedImpact:
         rest : float, optional
             Share of their largest below which states and forces are at rest once the impact is over. Then the record
             ends: the tool stays where it was before the impact.
+        pull : float, optional
+            Force [N] of the drive on the axis of the impact as it comes to rest, which its guideway holds: the
+            integrator of a servo at rest has any, up to the static friction.
 
         Raises
         ------
         InputError
-            When friction and joints cannot be solved for, or the tool leaves the range of 1 m.
+            When friction and joints cannot be solved for, the tool leaves the range of 1 m, or no guideway that sticks
+            with a bristle (LuGre) holds the pull.
         """
-        r = self._prepared
+        r = self._prepared if pull == 0.0 else _pulled(self._prepared, self._axis, pull)
         run = integrate(r, pack_impact(impact, r.step, r.steps), [], keep=1, accuracy=self._accuracy, rest=rest)
         return displacement_of(r.problem, run)
+
+
+def _pulled(r: PreparedMachine, axis: str, pull: float) -> PreparedMachine:
+    """Return a machine at rest whose drive pulls along an axis with a force [N], which bends the bristles there."""
+    slide = list(r.problem.machine.axes).index(axis) if axis in r.problem.machine.axes else -1
+    held = r.problem.friction[slide] if slide >= 0 else None
+    law = None if held is None else held.law
+    if held is None or not isinstance(law, LuGre) or held.feed != 0.0 or abs(pull) > law.towards(pull).static:
+        raise InputError(f"no guideway holds a pull of {pull:g} N along {axis} at rest; give less, or a LuGre law")
+    element = list(r.system.nonlinear).index(slide)
+    steady, state = r.elements.steady.copy(), r.state.copy()
+    steady[element] += pull
+    state[r.elements.first[element]] = pull / law.bristle_stiffness
+    return r._replace(elements=r.elements._replace(steady=steady), state=state)
 
 
 def _same_linear_part(p: Problem, q: Problem) -> bool:

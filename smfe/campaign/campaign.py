@@ -298,6 +298,8 @@ class AxisModel:
         What the simulation takes for friction.
     evidence : tuple of str, optional
         What it is compared with besides compliances: "drive" records, "limits" that the cutting tests bracket.
+    period : float, optional
+        Of the samples of its control [s]; zero: its gains are those that act; None: not known.
     """
 
     axis: str
@@ -305,6 +307,7 @@ class AxisModel:
     servos: Mapping[str, Servo]
     friction: FrictionLaw | MemoryLaw
     evidence: tuple[str, ...] = ()
+    period: float | None = None
 
 
 @dataclass(frozen=True)
@@ -884,7 +887,7 @@ def _tool_name(table: schema.ToolTable) -> str:
 def _baseline(table: Any, machine: Any) -> Baseline:
     if isinstance(table, schema.AxisBaseline):
         drive = Drive(table.moving_mass, table.tip_mass, table.stiffness, table.damping)
-        return AxisModel(table.axis, drive, table.servos(), table.friction.build(), table.evidence)
+        return AxisModel(table.axis, drive, table.servos(), table.friction.build(), table.evidence, table.period)
     if isinstance(table, schema.DriveBaseline):
         return RigidDrive(table.axis, table.moving_mass, table.Kp, table.Kv, table.delay)
     if isinstance(table, schema.LimitsBaseline):

@@ -309,6 +309,7 @@ class AxisBaseline(Table):
     Ti: PositiveTime | None = None
     Kv: q.PositiveFrequency | None = None
     delay: Delay = 0.0
+    period: Delay | None = None
     controllers: dict[StrictStr, ServoTable] | None = None
     friction: FrictionTable
     evidence: tuple[Annotated[str, q.one_of(EVIDENCE, "evidence")], ...] = ()

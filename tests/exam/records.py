@@ -140,7 +140,7 @@ def baseline(friction="stribeck", truth=None):
     servos = {n: sampled(Servo(s.kp, s.ti, s.kv), c.period, c.lag, c.extra) for n, s in t.servos.items()}
     drive = Drive(t.moving_mass, t.tip_mass, t.joint.stiffness, t.joint.damping, sigma=sum(f.viscous) / 2.0)
     spread = {"moving_mass": 0.05, "tip_mass": 0.05, "stiffness": 0.05, "damping": 0.2, "viscous": 0.2}
-    return AxisBaseline(drive, servos, "x", known, spread)
+    return AxisBaseline(drive, servos, "x", known, spread, period=0.0)
 
 
 def family(records, friction="stribeck", proposals=(), without=()):

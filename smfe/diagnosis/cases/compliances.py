@@ -55,7 +55,7 @@ def axis_baseline(baseline: AxisModel, tolerances: Tolerances | None = None) -> 
         drive = replace(baseline.drive, sigma=0.5 * (law.sigma + back.sigma))
     t = Tolerances() if tolerances is None else tolerances
     spread = SHEET | {"moving_mass": t.declared_mass, "tip_mass": t.declared_mass}
-    return AxisBaseline(drive, dict(baseline.servos), baseline.axis, known, spread, t)
+    return AxisBaseline(drive, dict(baseline.servos), baseline.axis, known, spread, t, baseline.period)
 
 
 def case_of(campaign: Campaign, found: Mapping[str, Identification], progress: Progress = silent) -> Case:

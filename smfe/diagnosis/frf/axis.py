@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from typing import ClassVar
+from functools import lru_cache, partial
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -30,7 +30,7 @@ from smfe.diagnosis.frf.causes import sensor_causes
 from smfe.diagnosis.frf.noise import Excited, excited_of, kept, scatter_of, smooth_errors
 from smfe.diagnosis.frf.rules import RULES
 from smfe.diagnosis.frf.workshop import errors_along_axis
-from smfe.diagnosis.inference.fit import Target, roughly
+from smfe.diagnosis.inference.fit import Target, plausibly
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
@@ -171,28 +171,31 @@ class SimulatedMachine:
         found = quasi_compliance(*balanced, excitation=columns)["compliance"]
         return np.stack([found.sel(response=r, excitation=e).values for r, e in excited.entries], axis=1)
 
-    def hit(self, excited: Excited, pulse: Excitation, force: Complex) -> Complex:
-        """Return H1 of a hit with a pulse and its spectrum [N s], shape (f, entries), once for each excitation."""
+    def hit(self, excited: Excited, pulse: Excitation, force: Complex, pull: float = 0.0) -> Complex:
+        """Return H1 of a hit with a pulse and its spectrum [N s], shape (f, entries), once for each excitation.
+
+        `pull` is what the drive pulls already where the axis came to rest [N].
+        """
         if self._linear:
             # H1 of a linear machine knows neither pulse nor feed.
             pulse = HalfSine(1.0, RULES.contact_time, 0.0)
             force = _spectrum(pulse, excited.frequency.tobytes())
         out = np.empty((excited.frequency.size, len(excited.entries)), dtype=complex)
         for axis in dict.fromkeys(e for _, e in excited.entries):
-            found, rate = self._displacement(axis, excited, pulse)
+            found, rate = self._displacement(axis, excited, pulse, pull)
             for i, (response, excitation) in enumerate(excited.entries):
                 if excitation == axis:
                     out[:, i] = _transform(found["xyz".index(response)], excited, rate) / force
         return out
 
-    def _displacement(self, axis: str, excited: Excited, pulse: Excitation) -> tuple[Real, float]:
+    def _displacement(self, axis: str, excited: Excited, pulse: Excitation, pull: float = 0.0) -> tuple[Real, float]:
         """Return the displacement (3, m) over the window of a hit, until it is at rest, and its samples a second [Hz].
 
         That of a linear machine is kept over the longest window so far: a shorter one ends earlier.
         """
         if not self._linear:
             impact = self._impact(axis, excited)
-            return impact.displacement(pulse, RULES.rest), impact.rate
+            return impact.displacement(pulse, RULES.rest, pull), impact.rate
         key = (axis, excited.controller)
         if key not in self._one or self._one[key][0] < excited.window:
             impact = self._impact(axis, excited)
@@ -278,14 +281,19 @@ def as_hit(family: MachineFrfs, discrepancy: float, values: Values | None = None
     """Return a family whose data are what the mean hit of each condition would have found.
 
     Every hit is simulated with the force that was recorded, and the mean hit, on the machine of `values` (default: the
-    baseline, roughly fitted). Two simulations of one machine may differ smoothly by the relative `discrepancy` (rms).
+    baseline, as far as the data move it plausibly, before and after). Two simulations of one machine may differ
+    smoothly by the relative `discrepancy` (rms).
     """
     if values is None:
-        model = Model(family, family.conditions)
-        data = {r: np.asarray(c.observed) for r, c in enumerate(family.conditions) if c.observed is not None}
-        values = model.values(roughly(model, Target(data, model.null())))
+        values = _plausible_values(as_hit(family, discrepancy, _plausible_values(family)))
     found = tuple(_of_mean_hit(family, c, values, discrepancy) for c in family.conditions)
     return replace(family, conditions=found, measured=family.conditions, discrepancy=discrepancy)
+
+
+def _plausible_values(family: MachineFrfs) -> Values:
+    model = Model(family, family.conditions)
+    data = {r: np.asarray(c.observed) for r, c in enumerate(family.conditions) if c.observed is not None}
+    return model.values(plausibly(model, Target(data, model.null())))
 
 
 def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, discrepancy: float) -> Condition:
@@ -304,25 +312,71 @@ def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, disc
     machine = family.simulated(found)
     pulses = [Recorded(tuple(f.tolist()), hits.rate) for f in hits.force]
     spectra = [_spectrum(p, excited.frequency.tobytes()) for p in pulses]
-    each = np.stack([machine.hit(excited, p, f) for p, f in zip(pulses, spectra, strict=True)])
     weight = np.abs(np.array(spectra)) ** 2
     weight = (weight / weight.sum(axis=0))[:, :, None]
+    held = min(side.static for side in found.friction) if feed == 0.0 else 0.0
+    states = [
+        at_rest(partial(machine.hit, excited, p, f), held, y, excited.std)
+        for p, f, y in zip(pulses, spectra, hits.compliance, strict=True)
+    ]
+    each = np.stack([s.compliance for s in states])
     more = (weight * each).sum(axis=0) - machine.compliance(excited)
     mean, unexplained = (weight * hits.compliance).sum(axis=0), hits.compliance - each
     own = np.stack([scatter_of(x, hits.impulse)[1] for x in np.moveaxis(unexplained, 2, 0)], axis=2)
     smooth = smooth_errors(excited.frequency, mean, discrepancy)
     errors = errors_along_axis(excited, mean, tolerances)
     rows = [own, smooth, errors, RULES.unsure * more[None]]
-    if feed == 0.0 and max(side.static for side in found.friction) > 0.0:
-        # Where the axis came to rest its guideway pulls one way already: it lets go of hits sooner, or later.
-        # It is easier to move one way and harder the other, or easier both ways where it has been shaken loose.
-        part = RULES.at_rest
-        for sizes in ((1.0 - part, 1.0 - part), (1.0 - part, 1.0 + part)):
-            sides = [
-                s._replace(coulomb=r * s.coulomb, static=r * s.static)
-                for s, r in zip(found.friction, sizes, strict=True)
-            ]
-            other = family.simulated(found._replace(friction=(sides[0], sides[1]))).compliance(excited)
-            rows.append(other[None] - machine.compliance(excited)[None])
+    rows += [w[None] * s.unsure for w, s in zip(weight, states, strict=True) if s.unsure is not None]
+    if held > 0.0:
+        rows += [
+            family.simulated(other).compliance(excited)[None] - machine.compliance(excited)[None]
+            for other in _otherwise(found)
+        ]
     corrected = replace(excited, shared=np.concatenate(rows))
     return replace(condition, data=corrected, observed=corrected.whitened(mean - more))
+
+
+def _otherwise(found: Effective) -> Iterator[Effective]:
+    """Yield an axis at rest whose guideway is otherwise by as much as one law for all levels leaves open.
+
+    It lets go of hits sooner where it has been shaken loose. Before it slides its contacts slip one after the other,
+    so that it gives way by more, and loses more, the harder it is hit: laws with the same curve differ in that.
+    """
+    part = 1.0 - RULES.shaken_loose
+    forth, back = (s._replace(coulomb=part * s.coulomb, static=part * s.static) for s in found.friction)
+    yield found._replace(friction=(forth, back))
+    yield found._replace(contact=(1.0 + RULES.contact_apart) * found.contact)
+    yield found._replace(contact_loss=found.contact_loss + RULES.contact_loses)
+
+
+class State(NamedTuple):
+    """An axis at rest as a hit found it."""
+
+    pull: float  # of its drive, which the guideway holds [N]
+    compliance: Complex  # that the hit finds [m/N], shape (f, entries)
+    unsure: Complex | None  # what it changes by as far as the pull is not known, shape (1, f, entries); None: no pull
+
+
+def at_rest(hit: Callable[[float], Complex], held: float, measured: Complex, std: Real) -> State:
+    """Return the state at rest in which a hit finds what was measured, of a guideway that holds a force [N].
+
+    The integrator of a servo at rest winds up until the slide breaks away, again and again: where a hit comes, the
+    drive pulls with anything up to the static friction, either way. Each hit that breaks the guideway away tells how
+    much it was; what the machine of the data has otherwise must not be taken for that, so that how far the pull is
+    known counts as a part of all that it may be.
+    """
+    if held <= 0.0:
+        return State(0.0, hit(0.0), None)
+    pulls = np.linspace(-1.0, 1.0, RULES.pulls) * held
+    found = [hit(float(p)) for p in pulls]
+    far = [float(np.sum(np.abs((x - measured) / std) ** 2)) for x in found]
+    n = int(np.clip(np.argmin(far), 1, pulls.size - 2))
+    apart = pulls[n + 1] - pulls[n]
+    bend, slope = far[n - 1] - 2.0 * far[n] + far[n + 1], 0.5 * (far[n + 1] - far[n - 1])
+    off = np.clip(-slope / bend, -1.0, 1.0) if bend > 0.0 else float(np.argmin(far) - n)
+    pull = float(np.clip(pulls[n] + off * apart, -held, held))
+    at = hit(pull)
+    if float(np.sum(np.abs((at - measured) / std) ** 2)) > min(far):
+        pull, at = float(pulls[np.argmin(far)]), found[int(np.argmin(far))]
+    by_pull = (found[n + 1] - found[n - 1]) / (2.0 * apart)
+    return State(pull, at, RULES.pull * held * by_pull[None])

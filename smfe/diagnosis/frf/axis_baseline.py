@@ -68,6 +68,18 @@ class Effective(NamedTuple):
     gap: tuple[float, float]
     cubic: float
     contact: float  # compliance of the guideway that sticks [m/N]; 0 without dry friction
+    contact_loss: float = RULES.contact_loss  # its damping over its stiffness [s]
+
+
+def acting(servo: Servo, period: float) -> Servo:
+    """Return the continuous servo that one of these gains is whose samples are a period apart [s].
+
+    The sum over the velocity errors holds the latest in full, ``1/(Ti s) + T/(2 Ti)``, and the position is read half a
+    period later than the velocity, which is a difference of two readings: ``s + Kv exp(s T/2)``. To first order in s T
+    that is a larger Kp with Ti and Kv to go with it; the dead time, which is that of the velocity, stays.
+    """
+    whole, early = 1.0 + 0.5 * period / servo.Ti, 1.0 + 0.5 * period * servo.Kv
+    return replace(servo, Kp=servo.Kp * whole * early, Ti=servo.Ti * whole, Kv=servo.Kv / early)
 
 
 @dataclass(frozen=True)
@@ -83,6 +95,8 @@ class AxisBaseline:
     spread: Mapping[str, float] = field(default_factory=lambda: dict(SPREAD))
     """Prior standard deviation of each nuisance, relative; default `SPREAD`."""
     tolerances: Tolerances = field(default_factory=Tolerances)  # of the control and of the sensors
+    period: float | None = None
+    """Of the samples of the control [s]; zero: the servos are what they act as; None: not known, a nuisance."""
 
     def nuisances(self, others: Collection[str] = ()) -> tuple[Parameter, ...]:
         """Return the parameters that every hypothesis fits anew: of the machine, of its control, of the sensors.
@@ -119,6 +133,10 @@ class AxisBaseline:
             least = 1.0 / self.rate - shortest  # no shorter dead time is simulated
             known = (t.dead_time, 1e3, "loop_delay", True, "dead time beyond that of the control")
             found.append(Parameter("extra_delay", "ms", 0.0, 1e-4, least, 5e-3, *known))
+            # Nobody declares the period of its samples: it is a part of the dead time, which holds one at least.
+            if self.period is None:
+                period = (RULES.period[0] * shortest, 0.1 * shortest, 0.0, shortest, RULES.period[1] * shortest)
+                found.append(Parameter("period", "ms", *period, 1e3, said="period of the control's samples"))
         said = "gain of the acceleration over the force"
         # Force sensor and accelerometer are calibrated one by one.
         sensors = gain_nuisance("gain_error", said, math.sqrt(2.0) * t.sensor_gain), skew_nuisance(t.clock)
@@ -157,12 +175,15 @@ class AxisBaseline:
             return (1.0 + values.get(f"{gain}_error", 0.0)) * (1.0 + values.get(f"{gain}_of_{control}", 0.0))
 
         servos = tuple(
-            replace(
-                s,
-                Kp=s.Kp * off(name, "Kp"),
-                Ti=s.Ti * off(name, "Ti"),
-                Kv=s.Kv * off(name, "Kv"),
-                delay=max(s.delay + values.get("extra_delay", 0.0), 0.0),
+            acting(
+                Servo(
+                    s.Kp * off(name, "Kp"),
+                    s.Ti * off(name, "Ti"),
+                    s.Kv * off(name, "Kv"),
+                    max(s.delay + values.get("extra_delay", 0.0), 0.0),
+                    s.feed_forward,
+                ),
+                values.get("period", self.period or 0.0),
             )
             for name, s in self.servos.items()
         )
@@ -220,7 +241,7 @@ class AxisBaseline:
             joints.append(MountedJoint(CubicSpring(0.0, found.cubic), across))
         law: FrictionLaw | LuGre = Viscous(found.friction[0].viscous)
         if max(side.static for side in found.friction) > 0.0:
-            stiff, loss = 1.0 / found.contact, RULES.contact_loss / found.contact
+            stiff, loss = 1.0 / found.contact, found.contact_loss / found.contact
             forth, back = (
                 LuGre(stiff, loss, max(s.coulomb, 1e-6), max(s.static, s.coulomb, 1e-6), s.speed or 1.0, s.viscous)
                 for s in found.friction

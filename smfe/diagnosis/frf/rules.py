@@ -46,9 +46,15 @@ class FrfRules:
     contact_time: float = 4e-3  # of the hit on a linear machine, whose compliance does not depend on it [s]
     block: int = 64  # samples that are transformed at once
     rest: float = 1e-7  # of a machine after a hit, next to its largest: a tenth of what the step costs in a hit of 25 N
-    at_rest: float = 0.15
-    """Relative standard deviation of the force at which a guideway lets go: what it pulls already where the axis came
-    to rest is unknown, up to some tenths of the sliding friction either way."""
+    period: tuple[float, float] = (0.5, 0.3)
+    """Of the samples of a control over its dead time, and its standard deviation: the time between two readings for the
+    velocity, the hold and the computation are whole and half periods, besides what has nothing to do with them."""
+    shaken_loose: float = 0.15
+    """Relative standard deviation of the force at which a guideway lets go, where hits before have shaken it loose."""
+    pulls: int = 9  # of the drive on an axis at rest that are tried
+    pull: float = 0.5
+    """Standard deviation of the pull of a drive at rest over what its guideway holds: between a servo that has wound up
+    evenly (0.58) and one that stands well (0.3)."""
     same_level: float = 0.2  # relative difference of levels of hits that are meant to be the same
     contact: float = 2e-9  # compliance of a guideway that sticks [m/N], where nothing is seen of it
     contact_axis: float = (
@@ -56,6 +62,10 @@ class FrfRules:
     )
     contact_spread: float = 10.0  # prior standard deviation of it, over itself: guideways differ by factors
     contact_loss: float = 1.2e-4  # its damping over its stiffness [s]
+    contact_apart: float = 0.5  # relative standard deviation by which it differs with the level
+    contact_loses: float = 5e-4
+    """Standard deviation of what it loses besides, as its contacts slip one after the other [s]: at 60 Hz a loss factor
+    of 0.2."""
     elements: int = 20  # Jenkins elements of a joint with micro-slip
     predictions_kept: int = 20000  # compliances that a family keeps
     modal_kept: int = 4000  # the same of a modal machine, whose compliances are closed form

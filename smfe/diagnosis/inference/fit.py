@@ -354,14 +354,30 @@ def approach(
     return replace(state.done(chosen, slope, left), provisional=True, promised=promised)
 
 
+def part(model: Model, target: Target) -> Target:
+    """Return a few of many conditions, those that have the most settings which none before them has.
+
+    What the first, fifth and ninth condition have in common (all three at rest) would be all that their fit knows.
+    """
+    rows = list(target.observed)
+    if len(rows) < RULES.several:
+        return target
+    settings = {r: set(model.conditions[r].settings.items()) for r in rows}
+    chosen, seen = rows[:1], set(settings[rows[0]])
+    while len(chosen) < -(-2 * len(rows) // RULES.several):
+        new = max((r for r in rows if r not in chosen), key=lambda r: len(settings[r] - seen))
+        chosen.append(new)
+        seen |= settings[new]
+    return target.only(sorted(chosen))
+
+
 def roughly(model: Model, target: Target) -> Real:
     """Return scaled values near the optimum of the baseline, fitted to a part of the conditions where they are many.
 
     Where what is declared is far off in units of noise, priors lead at first: their weight is lowered in steps to what
     it is (tempering). What the data say little of would otherwise run away before the rest is in place.
     """
-    rows = list(target.observed)
-    only = target.only(rows[:: RULES.several // 2] if len(rows) >= RULES.several else rows)
+    rows, only = list(target.observed), part(model, target)
     u, weight, values = model.null(), model.weight, sum(y.size for y in only.observed.values())
     off = misfit(model, only, model.nuisance, u, residuals(model, only, u)) / max(values, 1)
     try:
@@ -372,7 +388,28 @@ def roughly(model: Model, target: Target) -> Real:
     finally:
         model.weight = weight
     found = fit(model, only, (), u)
+    if len(only.observed) < len(rows) and residuals(model, target, found.u) is None:
+        found = fit(model, target, (), model.null(), loose=RULES.warm)
     return found.u if np.isfinite(found.chi2) else model.null()
+
+
+def plausibly(model: Model, target: Target) -> Real:
+    """Return scaled values that fit some conditions while what they leave counts as noise.
+
+    Where something is hidden that no nuisance explains the best fit moves all of them to where nobody would believe
+    them. With the noise as large as what is left, priors hold what the data are not that clear about.
+    """
+    only, u, weight = part(model, target), model.null(), model.weight
+    values = sum(y.size for y in only.observed.values())
+    try:
+        for _ in range(RULES.plausible):
+            found = residuals(model, only, u)
+            left = np.inf if found is None else sum(float(x @ x) for x in found.values()) / values
+            model.weight = weight * np.sqrt(max(left, 1.0)) if left < np.inf else weight
+            u = fit(model, only, (), u, loose=RULES.warm).u
+    finally:
+        model.weight = weight
+    return u if residuals(model, target, u) is not None else model.null()
 
 
 def refit(model: Model, target: Target, near: Fit) -> Fit:

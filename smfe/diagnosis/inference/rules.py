@@ -30,6 +30,9 @@ class InferenceRules:
     hope: float = 10.0
     """The same that the first slopes of a fit promise: in the curved valleys of joints that slip six times was seen."""
     temperatures: tuple[float, ...] = (100.0, 10.0)  # by which priors outweigh data that are far off, one by one
+    plausible: int = 3  # times that what is left counts as noise anew
+    beyond_belief: float = 10.0
+    """Standard deviations of what was declared from which on a bad fit is not where others are begun only."""
     warm: float = 0.01  # share of the misfit to which it is found on the way there
     foretold: float = 0.3  # share of a step that its slopes may have missed to be kept, corrected
     cycles: int = 8  # slopes that are taken anew before the trust region takes over

@@ -10,7 +10,18 @@ import numpy as np
 
 from process.types import Real
 from smfe.diagnosis.inference.cross_validation import Gain, HeldOut, Scheme, compare, held_out, usable, within
-from smfe.diagnosis.inference.fit import Fit, Target, approach, fit, misfit, nearest, residuals, roughly, tolerance
+from smfe.diagnosis.inference.fit import (
+    Fit,
+    Target,
+    approach,
+    fit,
+    misfit,
+    nearest,
+    part,
+    residuals,
+    roughly,
+    tolerance,
+)
 from smfe.diagnosis.inference.misfit import Misfit, assess
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.rules import RULES
@@ -35,6 +46,7 @@ class Bench:
     worth: Worth = EVERYTHING  # what is large enough to matter
     planned: int = 0  # hypotheses that will be fitted, as far as that is known
     _tangents: dict[tuple[int, ...], Tangent] = field(default_factory=dict)
+    _given: dict[tuple[int, ...], Tangent | None] = field(default_factory=dict)
     _thresholds: dict[tuple[int, ...], float] = field(default_factory=dict)
     _left: dict[tuple[int, ...], float] = field(default_factory=dict)
     _held_out: dict[tuple[tuple[int, ...], tuple[Scheme, ...]], HeldOut] = field(default_factory=dict)
@@ -145,6 +157,7 @@ class Bench:
             self.fits[found.causes] = found
             self._tangents.pop(found.causes, None)
             self._thresholds.pop(found.causes, None)
+            self._given.pop(found.causes, None)
             self._left.pop(found.causes, None)
             self._held_out = {key: value for key, value in self._held_out.items() if key[0] != found.causes}
             if found.converged:
@@ -161,6 +174,11 @@ class Bench:
         explained = self.explained(at)
         thorough = self.far(added) and self.bad(at) and most > explained
         found = [] if begun is None else [begun]
+        if (given := self._as_declared(at)) is not None and most > explained:
+            near = self._best_near(given, causes, added, most)
+            if near.converged and near.chi2 <= explained < at.chi2:
+                return near
+            found.append(near)
         for shapes in self._shapes(at, added):
             near = self._near(at, causes, shapes, most)
             found.append(near)
@@ -196,6 +214,31 @@ class Bench:
             if gained > 0.0 and (hopeful or (most > explained and RULES.part * needed < gained < needed)):
                 trials.append(fit(self.model, self.target, causes, best.u, most=most))
         return min([*found, *trials], key=_order)
+
+    def _as_declared(self, at: Fit) -> Tangent | None:
+        """Linearise a hypothesis with what was declared where its fit has moved that beyond belief; None where not.
+
+        What is hidden may lead the fit without it into a minimum from which no slope leads back.
+        """
+        mine = self.model.nuisance
+        if not self.bad(at) or np.max(np.abs(at.u * self.model.weight)[mine], initial=0.0) < RULES.beyond_belief:
+            return None
+        if at.causes not in self._given:
+            u = at.u.copy()
+            u[mine] = 0.0
+            left, slope = residuals(self.model, self.target, u), self.model.slopes(list(at.slope), u, at.free)
+            self._given[at.causes] = None
+            if left is not None and slope is not None:
+                chi2 = misfit(self.model, self.target, mine, u, left)
+                there = replace(at, u=u, chi2=chi2, residual=left, slope=slope)
+                self._given[at.causes] = tangent(self.model, self.target, there)
+        return self._given[at.causes]
+
+    def _best_near(self, there: Tangent, causes: tuple[int, ...], added: Sequence[int], most: float) -> Fit:
+        """Fit from a linearisation elsewhere, by the shapes that do most there."""
+        shapes = list(product(*([s for s in there.signatures if s.cause == k] for k in added)))
+        best = max(shapes, key=lambda s: combined_gain(self.model, there, s), default=())
+        return self._follow(causes, *self._linearised(there.fit, causes, best), most)
 
     def leads(self, at: Fit, found: Fit) -> bool:
         """Whether a fit with a cause that the data were seen to fit with explains most of what is more than noise."""
@@ -281,17 +324,16 @@ class Bench:
         if not thorough:
             nearer = [min(both, key=self._misfit) for both in found]
             return [u for u in nearer if self._misfit(u) < RULES.astray * at.chi2]
-        rows = list(self.target.observed)
-        part = self.target.only(rows[:: RULES.several // 2]) if len(rows) >= RULES.several else self.target
+        few = part(self.model, self.target)
         own = np.concatenate([self.model.of_cause[k] for k in added])
         near: list[Real] = []
         for kind in zip(*found, strict=True):
             best = sorted(kind, key=self._misfit)[: RULES.named_starts]
-            near.append(min((fit(self.model, part, causes, u, only=own).u for u in best), key=self._misfit))
+            near.append(min((fit(self.model, few, causes, u, only=own).u for u in best), key=self._misfit))
         near = [u for u in near if self._misfit(u) < RULES.lost * at.chi2]
-        if part is self.target:
+        if few is self.target:
             return near
-        warm = [fit(self.model, part, causes, u, most=most, loose=RULES.warm) for u in near]
+        warm = [fit(self.model, few, causes, u, most=most, loose=RULES.warm) for u in near]
         hopeful = [u for f, start in zip(warm, near, strict=True) if not f.provisional for u in (f.u, start)]
         return sorted(hopeful, key=self._misfit)[:1]
 

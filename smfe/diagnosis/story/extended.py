@@ -12,7 +12,7 @@ import os
 import tomllib
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -167,12 +167,18 @@ def _write_axis(draft: _Draft, campaign: Campaign, family: MachineFrfs, values: 
         "damping": _text(found.damping, "N s/m"),
         "friction": _friction(found.friction),
     }
-    servos = dict(zip(baseline.servos, found.servos, strict=True))
-    told = {
-        name: {"Kp": _text(s.Kp, "N s/m"), "Ti": _text(1e3 * s.Ti, "ms"), "Kv": _text(s.Kv, "1/s")}
-        | ({"delay": _text(1e3 * s.delay, "ms")} if s.delay else {})
-        for name, s in servos.items()
-    }
+    as_set = replace(baseline, period=None).effective({**values, "period": 0.0}, {}, 0.0).servos
+    # The period of the samples stands beside the gains that are set; a servo without samples has those that act.
+    told, acts = (
+        {
+            name: {"Kp": _text(s.Kp, "N s/m"), "Ti": _text(1e3 * s.Ti, "ms"), "Kv": _text(s.Kv, "1/s")}
+            | ({"delay": _text(1e3 * s.delay, "ms")} if s.delay else {})
+            for name, s in zip(baseline.servos, servos, strict=True)
+        }
+        for servos in (as_set, found.servos)
+    )
+    if any(s.delay for s in as_set):
+        table["period"] = _text(1e3 * values.get("period", baseline.period or 0.0), "ms")
     if set(told) == {""}:
         table |= told[""]
     elif told:
@@ -180,7 +186,7 @@ def _write_axis(draft: _Draft, campaign: Campaign, family: MachineFrfs, values: 
     draft.tables["baseline"] = table
     law = baseline.machine(found).axes[baseline.axis].friction
     friction = _bristles(law) if isinstance(law, LuGre) else table["friction"]
-    _put_axis(draft, baseline.axis, {**table, "friction": friction}, told)
+    _put_axis(draft, baseline.axis, {**table, "friction": friction}, acts)
     held = ("guideway_friction", "friction_asymmetry", "servo_gains", "loop_delay")
     draft.held |= {c.key for c in family.causes if c.id in held}
     if isinstance(family, AxisEvidence) and family.cuts is not None:

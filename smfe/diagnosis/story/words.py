@@ -83,6 +83,7 @@ PARAMETERS = {
     "Ti_error": "integral time Ti",
     "Kv_error": "position gain Kv",
     "extra_delay": "further dead time",
+    "period": "period of the control's samples",
     "stiffness_per_metre": "stiffness",
     "stiffness_over_session": "stiffness at the end of the session",
     "sensor_mass": "mass of the sensor",

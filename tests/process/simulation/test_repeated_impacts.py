@@ -1,19 +1,21 @@
 """A machine that is prepared once and hit often, against one that is simulated anew for each impact."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from process.drive.axis import Drive
 from process.drive.servo import Servo
+from process.errors import InputError
 from process.friction.laws import LuGre
 from process.machine.machine import FeedAxis, Machine
 from process.machine.structure import two_mass_axes
-from process.simulation.excitation import HalfSine
+from process.simulation.excitation import Excitation, HalfSine
 from process.simulation.machine import RepeatedImpact, integrate_problem
 from process.simulation.problem import MachineRun, resolve
 from process.simulation.record import displacement_of
+from process.types import Real
 
 MM_MIN = 1.0 / 6e4
 FRICTION = LuGre(5e8, 6e4, 44.2, 84.0, 387.4 * MM_MIN, 168.0)
@@ -43,3 +45,39 @@ def test_a_hit_in_motion_that_is_followed_to_rest_has_the_spectrum_of_one_follow
     kernel = np.exp(-2j * np.pi * np.outer(np.arange(8.0, 128.0), np.arange(whole.size) / 2000.0))
     missing = np.abs(kernel[:, found.size :] @ whole[found.size :]) / np.abs(kernel @ whole)
     assert missing.max() < 1e-5
+
+
+@dataclass(frozen=True)
+class Held(Excitation):
+    """A force that rises within a second, and stays."""
+
+    size: float
+    shortest: float = 1.0
+    end: float = 10.0
+
+    def force(self, time: Real) -> Real:
+        """Return the force [N]."""
+        return np.asarray(self.size * (1.0 - np.cos(np.pi * np.clip(time, 0.0, 1.0))) / 2.0)
+
+
+@pytest.mark.parametrize("pull", [-60.0, 50.0])
+def test_a_hit_finds_a_guideway_that_holds_a_pull_as_one_whose_drive_was_made_to_pull_before(pull: float) -> None:
+    """And not as one at rest without: the pull helps the slide to break away, or holds it back, by tens of per cent."""
+    free = Machine(MACHINE.structure, {"x": FeedAxis(None, FRICTION)})
+    before, after = 1.5, 0.3
+    pulled = MachineRun(before + after, forces={"x": HalfSine(0.25, 4e-3, before)}, drive_forces={"x": Held(pull)})
+    problem = resolve(free, pulled)
+    _, states = integrate_problem(problem, 4000.0, 1.0 / 4000.0, 1e-5)
+    x = displacement_of(problem, states)[0]
+    at = round(before * 4000.0)
+    hit = RepeatedImpact(free, "x", MachineRun(after), accuracy=1e-5, sample_rate=4000.0)
+    ours, without = (hit.displacement(HalfSine(0.25, 4e-3, 0.0), pull=p)[0] for p in (pull, 0.0))
+    expected = x[at : at + ours.size] - x[at - 1]
+    assert np.abs(ours - expected).max() < 2e-3 * np.abs(expected).max()
+    assert np.abs(without - expected).max() > 0.1 * np.abs(expected).max()
+
+
+def test_no_guideway_holds_more_than_its_static_friction() -> None:
+    prepared = RepeatedImpact(MACHINE, "x", MachineRun(0.1), accuracy=1e-4)
+    with pytest.raises(InputError, match="holds a pull of 90 N along x"):
+        prepared.displacement(HalfSine.from_peak(50.0), pull=90.0)

@@ -1,19 +1,21 @@
 """Compliances of one axis: predictions against closed forms and the independent generator, and what is concluded."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from exam.records import baseline, condition_of, family, sampled
 from scipy import stats
-from truth.axis import MM_MIN, Truth
+from truth.axis import MM_MIN, RATE, Friction, Setting, Truth, simulate
 from truth.blind import draw
 from truth.campaign import Condition as Plan
 from truth.campaign import Design, measure, reduce
 from truth.chain import Chain
 
 from process.drive.servo import Servo
-from smfe.diagnosis.frf.axis import MachineFrfs, SimulatedMachine, as_hit
+from smfe.diagnosis.frf.axis import MachineFrfs, Recorded, SimulatedMachine, as_hit, at_rest
+from smfe.diagnosis.frf.axis_baseline import acting
 from smfe.diagnosis.frf.noise import Excited, degrees_of_freedom_of, scatter_of, smooth_errors
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.judgement.diagnose import diagnose
@@ -183,6 +185,49 @@ def test_the_mean_of_hits_that_break_away_is_not_their_mean_hit_and_as_hit_corre
     ours, mended = shown(found.predict(corrected, values)), shown(corrected.observed)
     plain = np.linalg.norm(ours - condition.data.hits.compliance.mean(axis=0))
     assert np.linalg.norm(ours - mended) < 0.7 * plain
+
+
+def test_hits_at_rest_tell_what_the_drive_pulled_as_they_came():
+    """After a hit the integrator winds up until the slide breaks away, again and again: the next finds any pull."""
+    truth, apart = Truth(friction=Friction(coulomb=(41.4, 41.4), static=(86.0, 86.0))), 2.0
+    pulses = np.array([[0.2 + apart * k, 100.0, 1.7e-3, 3.0] for k in range(4)])
+    raw = simulate(truth, Setting(phase=0.3), pulses, np.zeros((0, 5)), 0.1 + 4 * apart)
+    law = {"coulomb": 41.4, "static": 86.0, "stribeck_speed": 387.4 * MM_MIN}
+    condition = nominal()
+    found = MachineFrfs(replace(baseline(), known=law), (condition,))
+    values = values_of(found) | {"contact": 1.0 / truth.friction.bristle_stiffness}
+    machine = found.simulated(found.baseline.effective(values, {}, 0.0))
+    far = {0.0: [], 1.0: []}
+    for start in pulses[:, 0]:
+        at, count = round(start * RATE), round(1.9 * RATE)
+        acceleration, force, pull = raw[0, at : at + count], raw[3, at : at + round(6e-3 * RATE)], raw[2, at - 1]
+        turn = np.exp(-2j * np.pi * np.outer(LINES, np.arange(count)) / RATE)
+        spectrum = turn[:, : force.size] @ force / RATE
+        measured = (turn @ acceleration / RATE / spectrum / -((2.0 * np.pi * LINES) ** 2))[:, None]
+        hit = partial(machine.hit, condition.data, Recorded(tuple(force[1:].tolist()), RATE), spectrum)
+        state = at_rest(hit, 86.0, measured, condition.data.std)
+        assert state.pull == pytest.approx(pull, abs=8.0)
+        for share in far:
+            away = hit(share * state.pull) - measured
+            far[share].append(np.linalg.norm(away) / np.linalg.norm(measured))
+    assert max(far[0.0]) > 0.2
+    assert max(far[1.0]) < 0.05
+
+
+def test_the_samples_of_a_control_make_its_gains_act_as_larger_ones_by_as_much_as_a_dead_time_leaves_open():
+    """By up to 6 % where nobody says how often it samples: what a gain of a sensor 6 % off would look like."""
+    servo, period = Servo(10590.0, 6.5e-3, 76.9, 0.75e-3), 0.5e-3
+    assert acting(servo, 0.0) == servo
+    exact = sampled(replace(servo, delay=0.0), period)
+    found = acting(servo, period)
+    assert [found.Kp, found.Ti, found.Kv] == pytest.approx([exact.Kp, exact.Ti, exact.Kv], rel=1e-12)
+    assert found.Kp / servo.Kp == pytest.approx(1.058, abs=1e-3)
+    open_ = replace(baseline(), period=None)
+    known = {p.name: p for p in open_.nuisances()}
+    assert (known["period"].low, known["period"].high) == (0.0, min(s.delay for s in open_.servos.values()))
+    assert "period" not in {p.name for p in baseline().nuisances()}
+    values = {n: p.start for n, p in known.items()} | {"period": period}
+    assert open_.effective(values, {}, MOVING).servos[0] == acting(next(iter(open_.servos.values())), period)
 
 
 @pytest.mark.parametrize("level", [1.3, 1.5])

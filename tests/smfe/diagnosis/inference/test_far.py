@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from process.errors import InputError
 from process.types import Real
-from smfe.diagnosis.inference.fit import Fit, Target, fit
+from smfe.diagnosis.inference.fit import Fit, Target, fit, roughly
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 
@@ -84,3 +85,25 @@ def test_a_fit_that_cannot_come_as_low_as_another_is_given_up() -> None:
     near, _ = fitted(1.01 * whole.chi2)
     assert not near.provisional
     assert abs(near.chi2 - whole.chi2) < 1e-3 * whole.chi2
+
+
+def test_what_a_part_of_the_conditions_leads_to_predicts_the_others_too() -> None:
+    """Of nine conditions three are fitted first; under the control of another the values that they lead to are none."""
+    names = [f"hits {n}" for n in range(9)]
+
+    class Unstable(Resonances):
+        def predict(self, condition: Condition, values: Mapping[str, float]) -> Real:
+            if condition.name == "hits 7" and values["size0"] > 1.2:
+                raise InputError("the machine is unstable with its servos")
+            return super().predict(condition, values)
+
+    plain = Resonances(tuple(Condition(n, {}) for n in names))
+    start = {p.name: p.start for p in plain.nuisances}
+    right = [plain.predict(c, start) for c in plain.conditions]
+    off = plain.predict(plain.conditions[0], start | {"size0": 1.3})
+    seen = [off if n % 4 == 0 else y for n, y in enumerate(right)]
+    family = Unstable(tuple(Condition(n, {}, y) for n, y in zip(names, seen, strict=True)))
+    model = Model(family, family.conditions)
+    u = roughly(model, Target(dict(enumerate(seen)), model.null()))
+    assert model.values(u)["size0"] < 1.2
+    assert model.predict(7, u) is not None
