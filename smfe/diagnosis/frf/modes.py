@@ -47,6 +47,9 @@ DAMPING_OVER_PLACE = 0.2
 DAMPING_OF_PLACE = 0.25
 """Part of that by which damping at a place may be off the line over all places: guideways are not alike everywhere."""
 
+FILLING = 1.0
+"""Prior standard deviation of the compliance of what only fills up a fitted compliance, relative."""
+
 LEAST_TURN = 1e-3
 """Prior standard deviation of the direction of a fitted mode where hits and sensors do not lean at all [rad]."""
 
@@ -144,11 +147,16 @@ class ModalFrfs(Abilities):
         return (*found, *sensor_nuisances(self.tolerances))
 
     def _of_mode(self, r: int) -> list[Parameter]:
-        """Return frequency, damping and stiffness of a mode; of one that only stands for something its stiffness.
+        """Return frequency, damping and stiffness of a mode; of one that only stands for something its compliance.
 
         What a fit has found nobody declared, so that it cannot be declared wrong; it is as sure as the fit has it.
+        What only fills up the one compliance that was fitted took up the errors of its hits as well: of it the order of
+        magnitude is known, and other measurements may not show it at all.
         """
-        m, found = self.model, []
+        m, found = self.model, list[Parameter]()
+        if r not in self._own:
+            more = (FILLING, 100.0, "", True, f"compliance of mode {r + 1}")
+            return [Parameter(f"filling_{r + 1}", "%", 0.0, 0.05, -0.99, 9.0, *more)]
         doubt = np.zeros(3) if self.fitted is None else self.fitted.doubt[r]
         for (name, unit, start, step, shown), unsure in zip(
             (
@@ -159,12 +167,11 @@ class ModalFrfs(Abilities):
             doubt,
             strict=True,
         ):
-            if r in self._own or name == "stiffness":
-                prior, low, high = math.hypot(self.spread[name], unsure) * start, 0.1 * start, 10.0 * start
-                said = f"{'natural frequency' if name == 'frequency' else name} of mode {r + 1}"
-                given = f"modal_{name}" if self.fitted is None else ""
-                more = (prior, shown, given, name in self.stated, said)
-                found.append(Parameter(f"{name}_{r + 1}", unit, float(start), step * start, low, high, *more))
+            prior, low, high = math.hypot(self.spread[name], unsure) * start, 0.1 * start, 10.0 * start
+            said = f"{'natural frequency' if name == 'frequency' else name} of mode {r + 1}"
+            given = f"modal_{name}" if self.fitted is None else ""
+            more = (prior, shown, given, name in self.stated, said)
+            found.append(Parameter(f"{name}_{r + 1}", unit, float(start), step * start, low, high, *more))
         return found
 
     @cached_property
@@ -380,6 +387,8 @@ class ModalFrfs(Abilities):
             found[f] = {("frequency", r, 0): 1.0 / root}
             found[z] = {("damping", r, 0): machine.damping[r] / given}
             found[s] = {part: scale * w for part, w in stiffer[r].items()}
+            filled = 1.0 + values.get(names["filling"][r], 0.0)
+            found[names["filling"][r]] = {part: -k[r] / filled * w for part, w in stiffer[r].items()}
         found["scale_error"] = {p: w * k[r] / scale for r, each in enumerate(stiffer) for p, w in each.items()}
         found["mass_error"] = {("frequency", r, 0): -0.5 * f / root**2 for r, f in enumerate(machine.frequency)}
         found["mass_error"] |= {("damping", r, 0): -0.5 * z / root**2 for r, z in enumerate(machine.damping)}
@@ -547,6 +556,7 @@ class ModalFrfs(Abilities):
             [values.get(n, at) for n, at in zip(names[w], getattr(self.model, w).tolist(), strict=True)]
             for w in ("frequency", "damping", "stiffness")
         )
+        stiffness = [k / (1.0 + values.get(n, 0.0)) for k, n in zip(stiffness, names["filling"], strict=True)]
         for r, by in zip(self._own, names["damping_place"], strict=True):
             damping[r] *= max(1.0 + place * values.get(by, 0.0), 0.01)
         for r, by in zip(self._own, self._damping_at.get(place, ()), strict=False):
@@ -666,6 +676,6 @@ class ModalFrfs(Abilities):
         names = dict.fromkeys(("posture", "curved", "drift", "coupling", *(f"{b}bearings" for b in TWICE)), whole)
         names |= {f"{b}gyroscopic": across for b in TWICE}
         found = {what: tuple(f"{what}_{r}{s}" for r, s in where) for what, where in names.items()}
-        found |= {w: tuple(f"{w}_{r + 1}" for r in range(self.model.frequency.size)) for w in self.spread}
+        found |= {w: tuple(f"{w}_{r + 1}" for r in range(self.model.frequency.size)) for w in (*self.spread, "filling")}
         found |= {w: tuple(f"{w}_{r}" for r in own) for w in ("turn_a", "turn_b", "damping_place")}
         return found | {w: tuple(f"{w}_angle_{r}" for r in own[:-1]) for w in (*JOINTS, "joint_iwan")}

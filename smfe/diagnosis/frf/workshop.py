@@ -188,14 +188,15 @@ def errors_of_condition(excited: Excited, full: Complex, tolerances: Tolerances)
     that lean towards another direction show what the machine does under a force there: of a set-up all alike, besides
     what remains of the mean of single ones. Hits beside their point turn the machine as well; how far it turns nobody
     measured, so that a column may be off by the distance over the arm `RULES.arm`, slowly over frequency. The clock of
-    a recording turns the phase in proportion to frequency.
+    a recording turns the phase in proportion to frequency; hits along each axis are recordings of their own.
     """
     rows, columns = ([AXES.index(e[k]) for e in excited.entries] for k in (0, 1))
     lean = math.hypot(tolerances.setup_direction, tolerances.hit_direction / math.sqrt(excited.repeats))
     seen = full[:, rows, columns]
-    found = [late(excited.frequency, seen, tolerances.clock)]
+    found = []
     for e in dict.fromkeys(columns):
         here = np.array(columns) == e
+        found.append(late(excited.frequency, seen * here, tolerances.clock))
         found += [lean * full[:, rows, a] * here for a in range(3) if a != e]
         found += list(beside_the_point(excited.frequency, seen * here, tolerances.hit_position))
     used = [x for x in found if np.any(x)]

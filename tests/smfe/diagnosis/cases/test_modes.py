@@ -21,6 +21,7 @@ from smfe.diagnosis.frf.noise import Excited, excitation_of
 from smfe.diagnosis.inference.fit import Target, fit
 from smfe.diagnosis.inference.model import Model as Predicted
 from smfe.diagnosis.inference.problem import Condition
+from smfe.diagnosis.judgement.declared import strained
 from smfe.diagnosis.judgement.diagnose import diagnose
 from smfe.identification.errors.result import Identification
 from stability import Spread
@@ -125,10 +126,10 @@ def test_what_only_stands_for_something_has_a_size_and_no_fate_of_its_own(
     family = replace(family_of(named, found), model=model, fitted=known)
     own = {p.name: p for p in family.nuisances if p.name.rpartition("_")[2].isdigit()}
     assert [n for n in own if not n.startswith("turn")] == [
-        "frequency_1", "damping_1", "stiffness_1", "stiffness_2", "stiffness_3", "stiffness_4"
+        "frequency_1", "damping_1", "stiffness_1", "filling_2", "filling_3", "filling_4"
     ]  # fmt: skip
     assert own["stiffness_1"].prior == pytest.approx(math.hypot(SPREAD["stiffness"], 0.02) * 2e7)
-    assert own["stiffness_3"].prior == pytest.approx(math.hypot(SPREAD["stiffness"], 1.0) * 5e6)
+    assert own["filling_3"].prior == 1.0
     drift = next(c for c in family.causes if c.id == "drift")
     assert [p.name for p in drift.parameters] == ["drift_11"]
     values = {p.name: p.start for p in family.nuisances} | {"drift_11": 0.1, "joint_hardening": 0.02}
@@ -136,6 +137,30 @@ def test_what_only_stands_for_something_has_a_size_and_no_fate_of_its_own(
     np.testing.assert_array_equal(np.reshape(changed.springs, (4, 4)), np.diag([0.1, 0.0, 0.0, 0.0]))
     assert changed.hardening == (0.02, 1.0, 0.0, 0.0, 0.0)
     assert changed.stiffness == tuple(model.stiffness)
+    halved = family.changed(Condition("late", {}), values | {"filling_2": -0.5})
+    assert halved.stiffness == (2e7, 8e9, 5e6, 6e9)
+
+
+def test_what_filled_up_one_measurement_and_is_in_no_other_convicts_nothing(
+    named: NamedModes, found: dict[str, Identification]
+) -> None:
+    """A fit takes the errors of its hits for a mode of 3 % of the compliance, which the machine does not have."""
+    family = family_of(named, found)
+    assert family.fitted is not None
+    own = np.isin(np.arange(family.model.frequency.size), family._own)
+    real, largest = family.model.stiffness[own].min(), 1.0 / 0.03
+    model = ModalModel(
+        [*family.model.frequency, 70.0], [*family.model.damping, 0.5], [*family.model.stiffness, real * largest],
+        [*family.model.direction, [1.0, 0.0, 0.0]],
+    )  # fmt: skip
+    doubt = np.vstack([family.fitted.doubt, [0.02, 0.4, 0.3]])
+    filled = replace(family, model=model, fitted=FittedModes(doubt, np.append(family.fitted.of_band, False)))
+    predicted = Predicted(filled, filled.conditions)
+    target = Target({0: np.asarray(filled.conditions[0].observed)}, predicted.null())
+    at = fit(predicted, target, (), predicted.null())
+    last = predicted.values(at.u)[f"filling_{model.frequency.size}"]
+    assert last == pytest.approx(-1.0, abs=0.1)
+    assert strained(predicted, target, at, lambda *_: 1.0, 0.05) is None
 
 
 def test_damping_that_is_another_at_one_place_is_no_evidence_and_a_stiffness_is() -> None:
