@@ -65,7 +65,10 @@ def worth_of(campaign: Campaign, family: Family) -> Worth:
     Of drive and cutting forces a depth is one thing among others: run-out changes none, and matters.
     """
     has_depth = isinstance(family, MachineFrfs | ModalFrfs | CuttingLimits)
-    return Worth(campaign.tolerances.material, cost_of(campaign, family) if has_depth else no_cut)
+    if not has_depth:
+        return Worth(campaign.tolerances.material)
+    shown = cost_of(campaign, family, as_shown=True) if isinstance(family, ModalFrfs) else no_cut
+    return Worth(campaign.tolerances.material, cost_of(campaign, family), shown)
 
 
 def with_consequences(

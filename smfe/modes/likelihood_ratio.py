@@ -56,7 +56,10 @@ class Window:
         fit = solve(self.curves, start, Remainders(False, False, line=(self.centre, self.half)))
         # Coarser than a fit that is reported: it is compared with a threshold.
         rules = Descent(iterations, tries=7, share=1e-5, damping=1e-2, growth=8.0)
-        return refine_poles(fit, rules, Bounds(self.centre - self.half, self.centre + self.half))
+        # Near the first line half of a window may lie below zero, and a pole of negative frequency fits as well there.
+        high = self.centre + self.half
+        low = max(self.centre - self.half, float(self.curves.frequency[0]) / RULES.beyond, 1e-6 * high)
+        return refine_poles(fit, rules, Bounds(low, high))
 
 
 def window(fit: PoleFit, centre: float, half: float) -> Window | None:

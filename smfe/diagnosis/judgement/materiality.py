@@ -35,11 +35,17 @@ class Worth:
 
     material: float = 0.0  # relative size from which on something matters [1]; zero: everything does
     cost: Cost = no_cut  # change of the limit depths
+    shown: Cost = no_cut  # the same of the depths that what sensors show would give
 
     def of_causes(self, model: Model, rows: Sequence[int], before: Real, after: Real, measurement: bool) -> float:
-        """Return the size of what lies between two scaled vectors [1]: in depth, of sensors in what they show."""
-        known = None if measurement else self.cost(model.values(before), model.values(after))
-        return predicted_size(model, rows, before, after) if known is None else known
+        """Return the size of what lies between two scaled vectors [1]: in depth, of sensors in what they show.
+
+        What sensors show counts by itself as well: an axis that the cut does not push along may be wrong alone.
+        """
+        known = (self.shown if measurement else self.cost)(model.values(before), model.values(after))
+        if known is not None and not measurement:
+            return known
+        return max(predicted_size(model, rows, before, after), known or 0.0)
 
     def left(self, model: Model, residual: Mapping[int, Real], rng: np.random.Generator) -> float:
         """Return the size of a misfit beyond noise [1]."""

@@ -33,6 +33,7 @@ from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline
 from smfe.diagnosis.frf.modes import AS_FIRST, ModalFrfs, Standing
 from smfe.diagnosis.frf.noise import Excited, kept
+from smfe.diagnosis.frf.workshop import SENSORS, measured
 from smfe.diagnosis.inference.problem import Family, Values
 from smfe.diagnosis.judgement.finding import Pocket, StableDepth
 from smfe.diagnosis.machine.family import MachineOfAxes
@@ -97,7 +98,10 @@ def asked(campaign: Campaign, most: int = SPEEDS) -> Iterator[Asked]:
 
 
 def depths_of(
-    campaign: Campaign, family: Family, compliances: Mapping[str, xr.Dataset] | None = None
+    campaign: Campaign,
+    family: Family,
+    compliances: Mapping[str, xr.Dataset] | None = None,
+    as_shown: bool = False,
 ) -> tuple[Depths | None, str]:
     """Return how depths follow from values, or None and why no depth can be given, a sentence.
 
@@ -109,6 +113,8 @@ def depths_of(
         What was tested.
     compliances : mapping of str to xarray.Dataset, optional
         Measurement -> compliance, for what says nothing of the machine itself.
+    as_shown : bool, optional
+        Of modes: depths of what sensors and hits make of the machine, which is what lobes of a measurement show.
     """
     lost = [
         name
@@ -130,7 +136,7 @@ def depths_of(
     if isinstance(family, CuttingLimits):
         return _of_limits(campaign, family), ""
     if isinstance(family, ModalFrfs):
-        return _of_modes(campaign, family), ""
+        return _of_modes(campaign, family, as_shown), ""
     return None, ""
 
 
@@ -217,16 +223,20 @@ def _alike(rows: Sequence[tuple[float, float]], others: Sequence[tuple[float, fl
 
 
 def cost_of(
-    campaign: Campaign, family: Family, compliances: Mapping[str, xr.Dataset] | None = None
+    campaign: Campaign,
+    family: Family,
+    compliances: Mapping[str, xr.Dataset] | None = None,
+    as_shown: bool = False,
 ) -> Callable[[Values, Values], float | None]:
     """Return a function of two sets of values (SI): the change of the limit depths that were asked for [1].
 
     It is the larger of that of the least depth over all speeds and of the rms over the speeds of the relative changes,
     each counted as 100 % at most: a lobe that moves by a little changes single speeds a lot. It is the largest over all
     places, times and levels at which the machine was measured (`stands_of`): a stiffness that depends on the position
-    changes nothing at the first of them. It returns None where no cut is given, or no depth follows.
+    changes nothing at the first of them. It returns None where no cut is given, or no depth follows. Of modes they are
+    those of the machine, or `as_shown` by its sensors.
     """
-    depths, _ = depths_of(campaign, family, compliances)
+    depths, _ = depths_of(campaign, family, compliances, as_shown)
     cuts = [] if depths is None else list(asked(campaign, FEW_SPEEDS))
     standings = stands_of(family).every
     every: dict[tuple[float, ...], Real] = {}
@@ -366,7 +376,7 @@ def _controller(campaign: Campaign, baseline: AxisBaseline) -> str:
     return named[0] if named and named[0] is not None else next(iter(baseline.servos))
 
 
-def _of_modes(campaign: Campaign, family: ModalFrfs) -> Depths:
+def _of_modes(campaign: Campaign, family: ModalFrfs, as_shown: bool) -> Depths:
     tool, material = _cut_of(campaign)
     start, f = given_values(family), family.fine_frequency()
     found: dict[tuple[object, ...], list[float]] = {}
@@ -382,11 +392,13 @@ def _of_modes(campaign: Campaign, family: ModalFrfs) -> Depths:
             level = a.standing.hardest and bool(machine.slip or machine.hardening or machine.iwan)
 
             def make() -> list[float]:
-                phi = make_compliance(f, family.in_the_cut(v, rpm, f, *how[1:]))
+                there = family.in_the_cut(v, rpm, f, *how[1:])
+                phi = make_compliance(f, measured(there, f, v) if as_shown else there)
                 limits = zero_order(phi, tool, a.arc(tool), material, list(speeds), a.flank)["limit_depth"]
                 return [float(d) for d in limits.values]
 
-            return kept(found, (machine, slides, level, a.where, *speeds), make, DEPTHS_KEPT)
+            sensors = tuple(v.get(name, 0.0) for name in SENSORS) if as_shown else ()
+            return kept(found, (machine, slides, level, a.where, sensors, *speeds), make, DEPTHS_KEPT)
 
         turning = any(v.get(name) for name in v if "bearings" in name or "gyroscopic" in name)
         each = turning or isinstance(family, MachineOfAxes)

@@ -13,9 +13,11 @@ from truth.modes import beam_shape, term
 
 from smfe.commands.modal import _as_json, as_toml
 from smfe.modes.fit_modes import fit_modes
+from smfe.modes.likelihood_ratio import Window
 from smfe.modes.merged_lines import merged
 from smfe.modes.pole_fit import Remainders, refine, solve
 from smfe.modes.response_matrix import ResponseMatrix, curves_of, running_mean
+from smfe.modes.rules import RULES
 
 
 def responses(f, modes, shapes, rigid=0.0, level=0.0, seed=0, stated=True) -> ResponseMatrix:
@@ -67,6 +69,16 @@ def test_two_modes_a_thousandth_apart_are_separated_by_their_shapes() -> None:
     away = (table["frequency_Hz"] - PAIR[:, 0]) / table["frequency_std_Hz"]
     assert np.abs(away).max() < 4.0
     assert table["frequency_std_Hz"].max() < 0.1
+
+
+@pytest.mark.parametrize("half", [20.0, 60.0, 200.0])
+def test_no_pole_below_the_first_line_has_a_negative_frequency(half: float) -> None:
+    """Half of a window about 15 Hz lies below zero: what rises towards the lowest lines is no mode of -147 Hz."""
+    f = np.arange(5.0, 400.0, 1.0)
+    matrix = responses(f, np.array([[60.0, 0.02]]), np.ones((1, 1)), rigid=3.0, level=0.02, seed=1)
+    where = Window(curves_of(matrix), (0,), 15.0, half)
+    for start in ([[60.0, 0.02], [6.0, 0.7]], [[60.0, 0.02], [12.0, 0.3]]):
+        assert where.fit(start).poles[:, 0].min() >= 5.0 / RULES.beyond
 
 
 INSEPARABLE = np.where(np.arange(4)[:, None] == 2, [922.05, 0.002], PAIR)

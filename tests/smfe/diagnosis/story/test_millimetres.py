@@ -59,6 +59,23 @@ def test_a_joint_that_slips_costs_more_the_harder_it_is_shaken(machine: ModalFrf
     assert (cost(given, slips) or 0.0) > 0.0
 
 
+def test_what_sensors_show_wrongly_costs_the_depth_of_the_lobes_that_it_gives(
+    machine: ModalFrfs, campaign: Any
+) -> None:
+    """Of the machine itself it costs nothing.
+
+    A tenth less force makes every depth a tenth less; a sensor turned by six degrees mixes x and y.
+    """
+    given = given_values(machine)
+    itself, shown = (cost_of(campaign, machine, as_shown=s) for s in (False, True))
+    for fault in ({"gain_force": -0.1}, {"turned_z": 0.1}):
+        assert itself(given, {**given, **fault}) == 0.0
+    assert shown(given, {**given, "gain_force": -0.1}) == pytest.approx(0.1, rel=1e-6)
+    turned = shown(given, {**given, "turned_z": 0.1})
+    assert turned is not None
+    assert turned > 0.02
+
+
 def test_the_flank_that_lobes_are_asked_with_counts(machine: ModalFrfs, campaign: Any) -> None:
     given = given_values(machine)
     found = {**given, "posture_11": -0.3}
