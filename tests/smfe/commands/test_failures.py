@@ -1,8 +1,9 @@
 """Nothing is lost because one thing fails: every part alone, and every output says what is missing in it."""
 
+import io
 import json
-import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -98,9 +99,10 @@ def parts(folder: Path) -> None:
     tests = CUTTING_TEST.replace("cut.csv", "other.csv") + WRONG_COLUMN + CUTTING_TEST
     text = HAMMER + SECOND + MODEL + requests + tests
     (folder / "campaign.toml").write_text(text)
-    smfe_run = ("-m", "smfe", "run", folder / "campaign.toml", "--out", folder / "results", "--json")
-    done = subprocess.run([sys.executable, *smfe_run], capture_output=True, text=True, check=False)
-    (folder / "printed.json").write_text(json.dumps([done.returncode, done.stdout, done.stderr]))
+    out, err = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as monkeypatch, redirect_stdout(out), redirect_stderr(err):
+        code = command(monkeypatch, "run", folder / "campaign.toml", "--out", folder / "results", "--json")
+    (folder / "printed.json").write_text(json.dumps([code, out.getvalue(), err.getvalue()]))
     healthy = text.replace(SECOND, "").replace(', "broken"', "")
     (folder / "healthy.toml").write_text(healthy[: healthy.rindex("[[lobes]]")] + CUTTING_TEST)
     smfe.run(folder / "healthy.toml", folder / "alone")
