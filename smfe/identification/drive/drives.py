@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from typing import TypeVar
 
 import pandas as pd
+import xarray as xr
 
 from process.errors import InputError
 from smfe.campaign import Campaign, Measurement
@@ -24,6 +27,8 @@ from smfe.identification.drive.results import DriveFit
 from smfe.identification.measurement import records_of
 from smfe.progress import Progress, silent
 from smfe.results import MEASUREMENT, Failures, as_named, attempt, pack_warnings, read_groups, write_csv, write_groups
+
+T = TypeVar("T")
 
 DRIVE_FILE = "drives.csv"
 
@@ -59,24 +64,41 @@ def drives_of(
     InputError
         With the measurement's name, when its records do not allow it.
     """
-    out = {}
-    gone = {f.name for f in failures or () if f.part == MEASUREMENT}
-    wanted = [m for m in campaign.measurements if m.method == "drive" and m.name not in gone]
-    for done, m in enumerate(wanted):
-        progress(f"identifying {m.name}", done, len(wanted))
-        with attempt(failures, MEASUREMENT, m.name):
-            out[m.name] = drive_of(m)
-    return out
+    return _each(campaign, "drive", drive_of, failures, progress)
 
 
 def drive_of(m: Measurement) -> list[DriveFit]:
     """Identify the axes of one measurement of method "drive"; see `drives_of`. Axes that stand still are left out."""
-    try:
-        records = [record for entry in m.records for record in records_of(entry)]
+    with _records(m) as records:
         highest = None if m.frequency_range is None else m.frequency_range[1]
         pairs = drives_in(records)
         moving = [pair for pair in pairs if all(moves(r, *pair) for r in records)] or pairs
         return [identify_drive(m.name, records, a, known=m.moving_mass, highest=highest) for _, a in moving]
+
+
+def _each(
+    campaign: Campaign,
+    method: str,
+    identify: Callable[[Measurement], T],
+    failures: Failures | None,
+    progress: Progress = silent,
+) -> dict[str, T]:
+    """Identify every measurement of a method that has not failed before."""
+    out = {}
+    gone = {f.name for f in failures or () if f.part == MEASUREMENT}
+    wanted = [m for m in campaign.measurements if m.method == method and m.name not in gone]
+    for done, m in enumerate(wanted):
+        progress(f"identifying {m.name}", done, len(wanted))
+        with attempt(failures, MEASUREMENT, m.name):
+            out[m.name] = identify(m)
+    return out
+
+
+@contextmanager
+def _records(m: Measurement) -> Iterator[list[xr.Dataset]]:
+    """Read the records of a measurement; what is wrong with them is said with its name."""
+    try:
+        yield [record for entry in m.records for record in records_of(entry)]
     except InputError as error:
         text = str(error)
         raise InputError(text if m.name in text else f"measurement '{m.name}': {text}") from error
@@ -160,19 +182,12 @@ def open_loops_of(campaign: Campaign, failures: Failures | None = None) -> dict[
     InputError
         With the measurement's name, when its records do not allow it.
     """
-    out = {}
-    gone = {f.name for f in failures or () if f.part == MEASUREMENT}
-    for m in campaign.measurements:
-        if m.method == "open_loop" and m.name not in gone:
-            with attempt(failures, MEASUREMENT, m.name):
-                out[m.name] = open_loop_of(m)
-    return out
+    return _each(campaign, "open_loop", open_loop_of, failures)
 
 
 def open_loop_of(m: Measurement) -> OpenLoop:
     """Identify one measurement of method "open_loop"; see `open_loops_of`."""
-    try:
-        records = [record for entry in m.records for record in records_of(entry)]
+    with _records(m) as records:
         return identify_open_loop(
             m.name,
             records,
@@ -181,9 +196,6 @@ def open_loop_of(m: Measurement) -> OpenLoop:
             frequency_range=m.frequency_range,
             hold=m.hold or 0.0,
         )
-    except InputError as error:
-        text = str(error)
-        raise InputError(text if m.name in text else f"measurement '{m.name}': {text}") from error
 
 
 def write_open_loops(path: Path, open_loops: Mapping[str, OpenLoop]) -> None:
@@ -217,23 +229,13 @@ def loops_of(campaign: Campaign, failures: Failures | None = None) -> dict[str, 
     InputError
         With the measurement's name, when its records do not allow it.
     """
-    out = {}
-    gone = {f.name for f in failures or () if f.part == MEASUREMENT}
-    for m in campaign.measurements:
-        if m.method == "loop" and m.name not in gone:
-            with attempt(failures, MEASUREMENT, m.name):
-                out[m.name] = loop_of(m)
-    return out
+    return _each(campaign, "loop", loop_of, failures)
 
 
 def loop_of(m: Measurement) -> LoopResponse:
     """Identify one measurement of method "loop"; see `loops_of`."""
-    try:
-        records = [record for entry in m.records for record in records_of(entry)]
+    with _records(m) as records:
         return identify_loop(m.name, records, period=m.period, settling=m.settling, frequency_range=m.frequency_range)
-    except InputError as error:
-        text = str(error)
-        raise InputError(text if m.name in text else f"measurement '{m.name}': {text}") from error
 
 
 def write_loops(path: Path, loops: Mapping[str, LoopResponse], tables: Path | None = None) -> None:
