@@ -22,8 +22,7 @@ from smfe.identification.levels import with_levels
 from smfe.kept import KEPT
 from smfe.limits.campaign_lobes import LobeResult, all_lobes
 from smfe.limits.cut_maps import without
-from smfe.limits.lobe_files import bands_table, joined, write_maps
-from smfe.limits.widths import write_widths
+from smfe.limits.lobe_files import bands_table, joined, write_maps, write_widths
 from smfe.modes.fit_modes import ModalFit
 from smfe.progress import Progress, part, silent, warn
 from smfe.results import (

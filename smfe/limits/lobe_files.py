@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ from smfe.limits.cut_maps import rows, without
 from smfe.limits.cut_maps import unpacked as maps_of
 from smfe.limits.depth_bands import unpacked
 from smfe.limits.recommendation import PRESETS, Recommendation, depths_of, recommend
-from smfe.limits.widths import write_widths
+from smfe.limits.widths import over_widths
+from smfe.limits.widths import rows as rows_over_widths
 from smfe.results import LOBES, Failures, attempt, pack, write_csv, write_groups
 from stability import write_presets, write_table
 from stability.tables.presets import RECOMMENDED
@@ -60,12 +61,36 @@ def write_maps(results: Sequence[LobeResult], arrays: Path, table: Path) -> dict
         "lobes_1/SOURCE" -> its maps.
     """
     found = {f"{r.request}/{r.source}": m for r in results if (m := maps_of(r.lobes)) is not None}
+    return _write_surfaces(found, arrays, table, rows)
+
+
+def write_widths(results: Sequence[LobeResult], arrays: Path, table: Path) -> dict[str, xr.Dataset]:
+    """Write the limits over width and speed as arrays and as a table; without several widths nothing is written.
+
+    Parameters
+    ----------
+    results : sequence of LobeResult
+        From `all_lobes`.
+    arrays, table : Path
+        NetCDF file, a group "lobes_1/SOURCE" each; CSV table, a row a width and speed.
+
+    Returns
+    -------
+    dict of str to xarray.Dataset
+        As of `smfe.limits.widths.over_widths`.
+    """
+    return _write_surfaces(over_widths(results), arrays, table, rows_over_widths)
+
+
+def _write_surfaces(
+    found: dict[str, xr.Dataset], arrays: Path, table: Path, rows_of: Callable[[xr.Dataset], pd.DataFrame]
+) -> dict[str, xr.Dataset]:
     if found:
         write_groups(arrays, found)
         frames = []
-        for name, maps in found.items():
+        for name, one in found.items():
             request, _, source = name.partition("/")
-            frame = rows(maps)
+            frame = rows_of(one)
             frame.insert(0, "source", source)
             frame.insert(0, "lobes", request)
             frames.append(frame)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,6 @@ import pandas as pd
 import xarray as xr
 
 from smfe.limits.campaign_lobes import LobeResult
-from smfe.results import write_groups
-from stability import write_table
 
 _COLUMNS = {
     "limit_depth": ("limit_depth_mm", "mm", "limit depth"),
@@ -65,32 +62,8 @@ def over_widths(results: Sequence[LobeResult]) -> dict[str, xr.Dataset]:
     return out
 
 
-def write_widths(results: Sequence[LobeResult], arrays: Path, table: Path) -> dict[str, xr.Dataset]:
-    """Write the limits over width and speed as arrays and as a table; without several widths nothing is written.
-
-    Parameters
-    ----------
-    results : sequence of LobeResult
-        From `all_lobes`.
-    arrays, table : Path
-        NetCDF file, a group "lobes_1/SOURCE" each; CSV table, a row a width and speed.
-
-    Returns
-    -------
-    dict of str to xarray.Dataset
-        As of `over_widths`.
-    """
-    found = over_widths(results)
-    if found:
-        write_groups(arrays, found)
-        frames = []
-        for name, one in found.items():
-            frame = one.to_dataframe().reset_index()
-            request, _, source = name.partition("/")
-            frame = frame.rename(columns={k: column for k, (column, _, _) in _COLUMNS.items()})
-            frame = frame.rename(columns={"width_of_cut": "width_of_cut_mm", "spindle_speed": "spindle_speed_rpm"})
-            frame.insert(0, "source", source)
-            frame.insert(0, "lobes", request)
-            frames.append(frame)
-        write_table(pd.concat(frames, ignore_index=True), table)
-    return found
+def rows(surface: xr.Dataset) -> pd.DataFrame:
+    """Return one of `over_widths` as a table, one row a width and speed, units in the names."""
+    named = {k: column for k, (column, _, _) in _COLUMNS.items()}
+    named |= {"width_of_cut": "width_of_cut_mm", "spindle_speed": "spindle_speed_rpm"}
+    return surface.to_dataframe().reset_index().rename(columns=named)
