@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, field, replace
 from functools import partial
 from itertools import product
@@ -127,10 +127,20 @@ def audited(campaign: Campaign, progress: Progress = silent, kept: Path | None =
             out.suspects += unlogged_suspects(campaign, campaign.baseline)
     out.suspects += [fault("unusable", f.part, f.reason, _CORRECT) for f in failures]
     compliances = {m.name: out.identified[m.name].compliance for m in campaign.measurements if m.name in out.identified}
-    out.suspects += model_suspects(compliances, campaign.models)
-    out.suspects += factor_suspects(compliances, {f.name for f in out.excluded if f.part == MEASUREMENT})
+    named = rightly_named(compliances, out.suspects)
+    out.suspects += model_suspects(named, campaign.models)
+    out.suspects += factor_suspects(named, {f.name for f in out.excluded if f.part == MEASUREMENT})
     out.suspects += _missing_entries(campaign, compliances)
     return out
+
+
+def rightly_named(compliances: Mapping[str, xr.Dataset], suspects: Sequence[Suspect]) -> dict[str, xr.Dataset]:
+    """Return the compliances without those whose channels are exchanged: their driving points are cross terms.
+
+    Which factor of a unit or gain they happen to be of a model says nothing; the exchange is what is to be mended.
+    """
+    exchanged = {s.where for s in suspects if (s.level, s.cause) == ("fault", "sensor_axis")}
+    return {name: compliance for name, compliance in compliances.items() if name not in exchanged}
 
 
 def audit_measurement(

@@ -220,7 +220,7 @@ def mounting_suspects(name: str, compliance: xr.Dataset, *excludes: Part) -> Ite
     if not axes or seen.shape[0] < 20:
         return
     before = _impossible(seen)
-    if before < RULES.impossible:
+    if before < RULES.odd:
         return
     tried: dict[tuple[tuple[int, ...], tuple[int, ...]], float] = {}
     for order in permutations(range(len(axes))):
@@ -234,7 +234,8 @@ def mounting_suspects(name: str, compliance: xr.Dataset, *excludes: Part) -> Ite
         tried, key=lambda t: tried[t] + 0.02 * (sum(x < 0 for x in t[1]) + sum(i != k for k, i in enumerate(t[0])))
     )
     best = ranked[0]
-    if best == plain or tried[best] > RULES.mended * before:
+    enough = RULES.mended if before >= RULES.impossible else RULES.mended_whole
+    if best == plain or tried[best] > enough * before:
         return
     order, signs = best
     swapped = [axes[k] for k, i in enumerate(order) if i != k]

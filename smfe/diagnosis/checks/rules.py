@@ -35,6 +35,9 @@ class CheckRules:
     impossible: float = 0.4
     """Share of a compliance that no passive, reciprocal machine has above which another sign or order is tried."""
     mended: float = 0.35  # ... and share of that which the right sign or order may leave
+    odd: float = 0.2
+    """The same where a right sign or order leaves next to nothing of it: a third axis hides two that are exchanged."""
+    mended_whole: float = 0.1
     answering: float = 1.0  # times the median size of a line from which on a machine answers
     flat: float = 0.05  # misfit below which the ratio of two compliances is a constant factor
     dynamic_stiffness: tuple[float, float] = (1e3, 1e11)

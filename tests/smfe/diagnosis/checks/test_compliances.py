@@ -6,7 +6,15 @@ import xarray as xr
 
 from process.labels import make_compliance
 from process.machine.modes import ModalModel
-from smfe.diagnosis.checks.compliances import factor_suspects, mounting_suspects, reciprocity_suspects, skew_suspects
+from smfe.campaign import Model
+from smfe.diagnosis.audit import rightly_named
+from smfe.diagnosis.checks.compliances import (
+    factor_suspects,
+    model_suspects,
+    mounting_suspects,
+    reciprocity_suspects,
+    skew_suspects,
+)
 from smfe.identification.measurement import sign_warnings
 
 MACHINE = ModalModel(
@@ -109,6 +117,16 @@ class TestCompliances:
         assert said in found.advice
         assert ("sign = -1" in found.advice) == bool((matrix < 0).any())
         assert ("exchange the columns" in found.advice) == (cause == "sensor_axis")
+
+    def test_the_unit_of_exchanged_channels_is_not_accused_for_what_a_cross_term_is_of_a_driving_point(self) -> None:
+        """A tenth, which is about one over the acceleration of gravity: the measurement would be left out for it."""
+        near = ModalModel([34.0, 58.0, 90.0], [0.03] * 3, [5e7] * 3, [[1.0, 0.1, 0.0], [-0.1, 1.0, 0.0], [0.1, 0, 1.0]])
+        right, wrong = (compliance(m @ near.matrix(F), 0.01) for m in (np.eye(3), np.eye(3)[[1, 0, 2]]))
+        models = [Model("declared", near)]
+        assert causes(model_suspects({"m": wrong}, models)) == {"unit_error"}
+        known = rightly_named({"m": wrong, "good": right}, list(mounting_suspects("m", wrong)))
+        assert list(known) == ["good"]
+        assert not list(model_suspects(known, models))
 
     @pytest.mark.parametrize(("factor", "cause"), [(1e3, "unit_error"), (9.80665, "unit_error"), (1.5, "sensor_gain")])
     def test_a_constant_factor_is_no_physics(self, factor: float, cause: str) -> None:
