@@ -40,7 +40,8 @@ class Tolerances:
     control_gain : float
         Gains of a control [1].
     dead_time : float
-        Dead time of a control loop, from the logged to the acting force [s].
+        Dead time of a control loop, from the logged to the acting force [s]; of an axis that is hit the most that it is
+        off by, as half a sample of the control is, evenly.
     coefficients : float
         Cutting coefficients, as ``[material] uncertainty`` states it [1].
     material : float

@@ -17,7 +17,7 @@ import numpy as np
 
 from process.drive.axis import Drive
 from process.drive.servo import Servo
-from process.friction.laws import FrictionLaw, LuGre, Viscous
+from process.friction.laws import FrictionLaw, GeneralisedMaxwellSlip, LuGre, MemoryLaw, Viscous
 from process.machine.joints import CubicSpring, Gap, Iwan
 from process.machine.machine import FeedAxis, Machine, MountedJoint
 from process.machine.structure import two_mass_axes
@@ -69,6 +69,7 @@ class Effective(NamedTuple):
     cubic: float
     contact: float  # compliance of the guideway that sticks [m/N]; 0 without dry friction
     contact_loss: float = RULES.contact_loss  # its damping over its stiffness [s]
+    one_by_one: bool = False  # its contacts slip one after the other (Maxwell slip); else it has one bristle (LuGre)
 
 
 def acting(servo: Servo, period: float) -> Servo:
@@ -131,7 +132,8 @@ class AxisBaseline:
         shortest = min((s.delay for s in self.servos.values()), default=0.0)
         if shortest > 0.0 and t.dead_time > 0.0:
             least = 1.0 / self.rate - shortest  # no shorter dead time is simulated
-            known = (t.dead_time, 1e3, "loop_delay", True, "dead time beyond that of the control")
+            # Who counts samples is off by up to a half of one, either way, evenly.
+            known = (t.dead_time / math.sqrt(3.0), 1e3, "loop_delay", True, "dead time beyond that of the control")
             found.append(Parameter("extra_delay", "ms", 0.0, 1e-4, least, 5e-3, *known))
             # Nobody declares the period of its samples: it is a part of the dead time, which holds one at least.
             if self.period is None:
@@ -239,7 +241,7 @@ class AxisBaseline:
             joints.append(MountedJoint(Gap(part * k, gap), across))
         if found.cubic != 0.0:
             joints.append(MountedJoint(CubicSpring(0.0, found.cubic), across))
-        law: FrictionLaw | LuGre = Viscous(found.friction[0].viscous)
+        law: FrictionLaw | MemoryLaw = Viscous(found.friction[0].viscous)
         if max(side.static for side in found.friction) > 0.0:
             stiff, loss = 1.0 / found.contact, found.contact_loss / found.contact
             forth, back = (
@@ -247,7 +249,18 @@ class AxisBaseline:
                 for s in found.friction
             )
             law = replace(forth, negative=back)
+            if found.one_by_one:
+                law = _slipping(forth)
         linear = k * max(1.0 - share - part, 1e-6)
         structure = two_mass_axes({self.axis: Drive(*found.masses, linear, found.damping)})
         servos = dict(zip(self.servos, found.servos, strict=True))
         return Machine(structure, {self.axis: FeedAxis(servos or None, law)}, joints)
+
+
+def _slipping(law: LuGre) -> GeneralisedMaxwellSlip:
+    """Return the law with the same curve and contact whose contacts slip one after the other, the stiffest first."""
+    part = np.arange(RULES.contacts, 0.0, -1.0)
+    stiff = law.bristle_stiffness * part / part.sum()
+    share = (1.0 / RULES.contacts,) * RULES.contacts
+    curve = (law.coulomb, law.static, law.stribeck_speed, law.sigma)
+    return GeneralisedMaxwellSlip(tuple(stiff.tolist()), share, *curve, law.static / RULES.relaxes)

@@ -51,6 +51,8 @@ class FrfRules:
     velocity, the hold and the computation are whole and half periods, besides what has nothing to do with them."""
     shaken_loose: float = 0.15
     """Relative standard deviation of the force at which a guideway lets go, where hits before have shaken it loose."""
+    well: float = 20.0  # squares over the noise of a line that hits at rest may leave without their own stiffness
+    stiffnesses: tuple[float, ...] = (0.7, 0.8, 0.9, 1.1, 1.2, 1.3)  # that are tried at rest, over that of the values
     pulls: int = 9  # of the drive on an axis at rest that are tried
     pull: float = 0.5
     """Standard deviation of the pull of a drive at rest over what its guideway holds: between a servo that has wound up
@@ -62,6 +64,8 @@ class FrfRules:
     )
     contact_spread: float = 10.0  # prior standard deviation of it, over itself: guideways differ by factors
     contact_loss: float = 1.2e-4  # its damping over its stiffness [s]
+    contacts: int = 4  # of a guideway whose contacts slip one after the other
+    relaxes: float = 5e-4  # time in which those that slip come to the Stribeck curve [s]
     contact_apart: float = 0.5  # relative standard deviation by which it differs with the level
     contact_loses: float = 5e-4
     """Standard deviation of what it loses besides, as its contacts slip one after the other [s]: at 60 Hz a loss factor

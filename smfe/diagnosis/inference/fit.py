@@ -393,8 +393,8 @@ def roughly(model: Model, target: Target) -> Real:
     return found.u if np.isfinite(found.chi2) else model.null()
 
 
-def plausibly(model: Model, target: Target) -> Real:
-    """Return scaled values that fit some conditions while what they leave counts as noise.
+def plausibly(model: Model, target: Target, causes: Sequence[int] = ()) -> Real:
+    """Return scaled values, with some causes, that fit some conditions while what they leave counts as noise.
 
     Where something is hidden that no nuisance explains the best fit moves all of them to where nobody would believe
     them. With the noise as large as what is left, priors hold what the data are not that clear about.
@@ -406,7 +406,7 @@ def plausibly(model: Model, target: Target) -> Real:
             found = residuals(model, only, u)
             left = np.inf if found is None else sum(float(x @ x) for x in found.values()) / values
             model.weight = weight * np.sqrt(max(left, 1.0)) if left < np.inf else weight
-            u = fit(model, only, (), u, loose=RULES.warm).u
+            u = fit(model, only, causes, u, loose=RULES.warm).u
     finally:
         model.weight = weight
     return u if residuals(model, target, u) is not None else model.null()

@@ -7,7 +7,9 @@ encoder, integrated by events. Heavier and lighter ones are it in other units of
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +25,8 @@ EFFECTS = {
     "velocity_gain": Hiding(0.10, "", ("servo_gains",), True),
     "integral_time": Hiding(0.10, "", ("servo_gains",), True),
     "position_gain": Hiding(0.10, "", ("servo_gains",), True),
-    "delay": Hiding(0.25e-3, "s", ("loop_delay",)),
+    # The campaign's is off by up to 0.1 ms: what is hidden is beyond twice that whichever way.
+    "delay": Hiding(0.3e-3, "s", ("loop_delay",)),
     "posture": Hiding(0.05, "1/m", ("posture",), True),
     "micro_slip": Hiding(0.05, "of the peak", ("joint_micro_slip",)),
     "cubic": Hiding(0.03, "of the peak's frequency", ("joint_hardening",)),
@@ -179,6 +182,85 @@ def cost_of(b: Bench, before: Bench, plan: list[Visit]) -> float:
     return worst
 
 
+TOLERANCES = {"sensors": math.sqrt(2.0) * 0.01, "gains": 0.02, "masses": 0.1, "stiffness": 0.1, "damping": 0.4}
+"""Standard deviations of what a campaign says, as who reads it must take it: those of a workshop."""
+
+HIDDEN_BY_TOLERANCES = ("gain", "force_gain", "velocity_gain", "integral_time", "position_gain")
+"""Effects that are something a campaign gives, which is off within its tolerance in every campaign."""
+
+
+def told(b: Bench, plan: list[Visit], name: str) -> float:
+    """Return the size of an effect that data tell from all that the tolerances leave open, in 95 of 100 campaigns.
+
+    Fisher's information of the linear compliances under errors of 0.4 % that are smooth, and of as much line by line:
+    what they say of the effect beyond what masses, stiffness, damping, friction, gains, dead time and period of the
+    control, calibration and clock do within their tolerances, and its own tolerance. At a threshold of one in a
+    thousand (3.3 standard deviations) 95 % are found at 4.95.
+    """
+    f = np.geomspace(6.0, 170.0, 60)
+    shapes = np.cos(np.pi * np.arange(4)[:, None] * np.linspace(0.0, 1.0, f.size))
+
+    def seen(c: Bench) -> np.ndarray:
+        logs = [np.log(linear(c, v, f)) for v in plan]
+        return np.concatenate([np.concatenate([x.real, np.unwrap(x.imag)]) for x in logs])
+
+    def by(change: Callable[[float], Bench], sigma: float, step: float = 1e-3) -> Real:
+        return sigma * (seen(change(step)) - seen(change(-step))) / (2.0 * step)
+
+    t, late = b.truth, (b.truth.control.lag + 1.0) * b.truth.control.period + b.truth.control.extra
+
+    def of_truth(**changes: object) -> Bench:
+        return replace(b, truth=replace(t, **changes))
+
+    def of_servo(which: str, key: str, x: float) -> Bench:
+        servos = {n: replace(s, **{key: getattr(s, key) * (1.0 + x)}) if n == which else s for n, s in t.servos.items()}
+        return of_truth(servos=servos)
+
+    def sampled(x: float) -> Bench:
+        grown = {
+            n: Servo(
+                s.kp * (1.0 + 0.5 * x * late * (1.0 / s.ti + s.kv)),
+                s.ti + 0.5 * x * late,
+                s.kv * (1.0 - 0.5 * x * late * s.kv),
+            )
+            for n, s in t.servos.items()
+        }
+        return of_truth(servos=grown)
+
+    friction = t.friction
+    columns = [
+        by(lambda x: of_truth(moving_mass=t.moving_mass * (1.0 + x)), TOLERANCES["masses"]),
+        by(lambda x: of_truth(tip_mass=t.tip_mass * (1.0 + x)), TOLERANCES["masses"]),
+        by(
+            lambda x: of_truth(joint=replace(t.joint, stiffness=t.joint.stiffness * (1.0 + x))), TOLERANCES["stiffness"]
+        ),
+        by(lambda x: of_truth(joint=replace(t.joint, damping=t.joint.damping * (1.0 + x))), TOLERANCES["damping"]),
+        by(
+            lambda x: of_truth(friction=replace(friction, viscous=tuple(v * (1.0 + x) for v in friction.viscous))),
+            0.5,
+        ),
+        by(lambda x: of_truth(control=replace(t.control, extra=t.control.extra + x * late)), 1e-4 / late),
+        by(sampled, 0.3),
+        by(lambda x: replace(b, skew=b.skew + 1e-2 * x), 2e-3),
+    ]
+    for which in {v.controller for v in plan}:
+        columns += [by(partial(of_servo, which, key), TOLERANCES["gains"]) for key in ("kp", "ti", "kv")]
+    blank = np.zeros((len(plan), 2, f.size))
+    for n in range(len(plan)):
+        for part in range(2):
+            for shape in shapes:
+                one = blank.copy()
+                one[n, part] = 0.004 / math.sqrt(8.0) * shape
+                columns.append(one.reshape(len(plan) * 2 * f.size))
+    own = by(lambda x: planted(b, name, x), 1.0)
+    calibration = by(lambda x: replace(b, gain=b.gain * (1.0 + x)), TOLERANCES["sensors"])
+    nuisances, noise = np.stack([*columns, calibration], axis=1), 0.004
+    covariance = np.eye(nuisances.shape[1]) + nuisances.T @ nuisances / noise**2
+    across = nuisances.T @ own / noise**2
+    information = float(own @ own) / noise**2 - float(across @ np.linalg.solve(covariance, across))
+    return 4.95 / math.sqrt(information)
+
+
 def drawn(rng: np.random.Generator, dry: bool) -> Bench:
     """Draw an axis: dry guideways, or oil."""
     period = float(rng.choice([0.25e-3, 0.5e-3]))
@@ -239,6 +321,9 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
             size, cost = bench.raised(size, price, largest=4.0)
         else:
             size, cost = bench.raised(size, price, what.switch)
+        if name in HIDDEN_BY_TOLERANCES and abs(size) < (least := told(now, plan, name)):
+            size = math.copysign(least, size)
+            cost = price(size)
         if scale != 1.0:
             size, cost = size * scale, price(size * scale)
         sizes[name], b = size, planted(now, name, size)

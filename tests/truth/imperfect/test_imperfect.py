@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smfe.campaign import load_campaign
-from truth.imperfect import modal
+from truth.imperfect import axis, modal
 from truth.imperfect.bench import MATERIAL
 from truth.imperfect.families import FAMILIES, draw, hidden_of
 
@@ -65,6 +65,21 @@ def test_a_spring_that_changes_over_the_stroke_matters_long_before_it_is_gone() 
         end = max(state.place for _, state in plan)
         lost = replace(led, machine=replace(led.machine, grow=-0.6 / end))
         assert modal.cost_of(lost, led, plan, cut) > MATERIAL
+
+
+def test_a_gain_is_hidden_from_where_calibration_and_control_leave_no_other_reading(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By Fisher's information: more than calibration alone would ask for, and a third of it where all is known."""
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        bench = axis.drawn(rng, False)
+        plan = axis.visits(rng)
+        least = axis.told(bench, plan, "gain")
+        assert 4.95 * math.sqrt(2.0) * 0.01 < least < 0.15
+        with monkeypatch.context() as known:
+            known.setattr(axis, "TOLERANCES", dict.fromkeys(axis.TOLERANCES, 1e-4))
+            assert axis.told(bench, plan, "gain") < least / 3.0
 
 
 def test_a_word_stands_for_effects_of_the_family() -> None:

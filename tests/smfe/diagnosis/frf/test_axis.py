@@ -16,7 +16,7 @@ from truth.chain import Chain
 from process.drive.servo import Servo
 from smfe.diagnosis.frf.axis import MachineFrfs, Recorded, SimulatedMachine, as_hit, at_rest
 from smfe.diagnosis.frf.axis_baseline import acting
-from smfe.diagnosis.frf.noise import Excited, degrees_of_freedom_of, scatter_of, smooth_errors
+from smfe.diagnosis.frf.noise import Excited, Hits, degrees_of_freedom_of, scatter_of, smooth_errors
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.judgement.diagnose import diagnose
 
@@ -212,6 +212,37 @@ def test_hits_at_rest_tell_what_the_drive_pulled_as_they_came():
             far[share].append(np.linalg.norm(away) / np.linalg.norm(measured))
     assert max(far[0.0]) > 0.2
     assert max(far[1.0]) < 0.05
+
+
+def test_what_is_softer_at_one_place_is_not_taken_for_what_the_drive_pulled_there():
+    """Pulls at their limits explain much of a stiffness 15 % less; taken off the data they would hide it."""
+    plain, rate = nominal(), 8192.0
+    found = MachineFrfs(baseline(), (plain,))
+    values = values_of(found)
+    softer = found.baseline.effective(values | {"stiffness": 0.85 * values["stiffness"]}, {}, 0.0)
+    machine, shape = found.simulated(softer), np.sin(np.pi * np.arange(1, 41) / 41.0)
+    force = np.array([90.0, 100.0, 105.0])[:, None] * shape
+    pulses = [Recorded(tuple(f.tolist()), rate) for f in force]
+    spectra = [np.exp(-2j * np.pi * np.outer(LINES, np.arange(1, 41)) / rate) @ f / rate for f in force]
+    each = np.stack(
+        [machine.hit(plain.data, p, f, pull) for p, f, pull in zip(pulses, spectra, (0.0, 10.0, -10.0), strict=True)]
+    )
+    level = float(force.sum(axis=1).mean() / rate)
+    excited = replace(plain.data, std=1e-8 + 0.0 * plain.data.std, level=level, hits=Hits(force, rate, each))
+    family = MachineFrfs(found.baseline, (replace(plain, data=excited, observed=excited.whitened(each.mean(axis=0))),))
+    (mended,) = as_hit(family, 0.0, values).conditions
+    seen = mended.data.compliance_of(mended.observed)
+    soft, stiff = (found.simulated(x).compliance(excited) for x in (softer, found.baseline.effective(values, {}, 0.0)))
+    assert np.linalg.norm(seen - soft) < 0.1 * np.linalg.norm(stiff - soft)
+
+
+def test_a_guideway_whose_contacts_slip_one_by_one_has_the_same_curve_and_contact():
+    found = baseline()
+    one = found.effective(values_of(MachineFrfs(found, (nominal(),))), {}, MOVING)
+    bristle, slipping = (found.machine(one._replace(one_by_one=x)).axes["x"].friction for x in (False, True))
+    assert slipping.stiffness == pytest.approx(bristle.stiffness)
+    for speed in (0.1 * MOVING, MOVING, 4.0 * MOVING):
+        assert slipping.steady_force(speed) == pytest.approx(bristle.steady_force(speed))
 
 
 def test_the_samples_of_a_control_make_its_gains_act_as_larger_ones_by_as_much_as_a_dead_time_leaves_open():

@@ -1,13 +1,13 @@
 """Fits that begin many half-power widths from where they end."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from process.errors import InputError
 from process.types import Real
-from smfe.diagnosis.inference.fit import Fit, Target, fit, roughly
+from smfe.diagnosis.inference.fit import Fit, Target, fit, part, plausibly, roughly
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 
@@ -107,3 +107,31 @@ def test_what_a_part_of_the_conditions_leads_to_predicts_the_others_too() -> Non
     u = roughly(model, Target(dict(enumerate(seen)), model.null()))
     assert model.values(u)["size0"] < 1.2
     assert model.predict(7, u) is not None
+
+
+def test_of_many_conditions_those_are_fitted_first_that_have_every_setting() -> None:
+    """Here every fourth is at rest: what drives do would be open until all are fitted."""
+    conditions = tuple(
+        Condition(f"{n}", {"feed": 0.0 if n % 4 == 0 else 500.0, "controller": "K3" if n == 6 else "K2"}, np.zeros(120))
+        for n in range(9)
+    )
+    model = Model(Resonances(conditions), conditions)
+    chosen = [conditions[r] for r in part(model, Target({r: np.zeros(120) for r in range(9)}, model.null())).observed]
+    assert len(chosen) == 3
+    assert {c.settings["feed"] for c in chosen} == {0.0, 500.0}
+    assert {c.settings["controller"] for c in chosen} == {"K2", "K3"}
+
+
+def test_what_is_hidden_does_not_move_beyond_belief_what_data_are_prepared_with() -> None:
+    """A mode that the model lacks, 200 times the noise: the best fit has the frequencies 20 and more tolerances off."""
+    known = tuple(replace(p, prior=0.02 * p.start) for p in Resonances(()).nuisances)
+    family = Resonances((Condition("hits", {}, None),), nuisances=known)
+    r = LINES / 62.0
+    more = 200.0 / (1.0 - r**2 + 0.2j * r)
+    seen = family.predict(family.conditions[0], {p.name: p.start for p in known})
+    seen = seen + np.concatenate([more.real, more.imag])
+    model = Model(family, (Condition("hits", {}, seen),))
+    target = Target({0: seen}, model.null())
+    best, plausible = (np.abs(u * model.weight).max() for u in (roughly(model, target), plausibly(model, target)))
+    assert best > 20.0
+    assert plausible < 0.3 * best
