@@ -177,6 +177,8 @@ def _instead(bench: Bench, at: Fit, found: Fit, released: Sequence[Released], st
     count = sum(len(r.values[0]) for r in released)
     most = found.chi2 + RULES.penalty * count + charge(bench.model, found.causes)
     refused = [s for s in steps if not s.accepted and set(at.causes) < set(s.causes) and s.ratio > s.threshold]
+    known = parameters_of(bench.model, at.causes)
+    refused = [s for s in refused if parameters_of(bench.model, s.causes) - known < count]
     fits = {s.causes: bench.fits[s.causes] for s in refused}
     # Held-out conditions speak against a cause if its gain is below zero by more than it scatters.
     able = [s for s in refused if s.gain is not None and (2.0 * s.gain.db > s.gain.low or alike(at, fits[s.causes]))]
