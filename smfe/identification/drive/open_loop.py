@@ -391,20 +391,23 @@ def _by_scan(f: Real, h: Complex, std: Real) -> Drive:
     # A line counts by its relative error, none of them for more than a twentieth would say.
     weight = np.abs(h) / np.maximum(std / np.abs(h), RULES.guess_error)
     best, least = _by_mobility(f, h), math.inf
-    for delay in RULES.guess_delays:
-        y = weight * np.exp(-s * delay) / h
-        for at in np.geomspace(f[0], f[-1], math.ceil(math.log(f[-1] / f[0]) / 0.02) + 1):
-            x = s / (2.0 * np.pi * at)
-            tip = s**2 * (1.0 + 0.04 * x) / (1.0 + 0.04 * x + x**2)
-            columns = weight[:, None] * np.column_stack([s**2, tip, s])
-            columns, right = np.vstack([columns.real, columns.imag]), np.concatenate([y.real, y.imag])
-            scale = np.linalg.norm(columns, axis=0)
-            value, *_ = np.linalg.lstsq(columns / scale, right, rcond=None)
-            left = float(np.sum((right - columns / scale @ value) ** 2))
-            mm, mt = (float(v) for v in (value / scale)[:2])
-            if left < least and mm > 0.0 and mt > 0.0:
-                stiffness = mt * (2.0 * np.pi * at) ** 2
-                best, least = Drive(mm, mt, stiffness, 0.04 * math.sqrt(stiffness * mt)), left
+    late = weight[:, None] * np.exp(-np.outer(s, RULES.guess_delays)) / h[:, None]
+    right = np.concatenate([late.real, late.imag])
+    for at in np.geomspace(f[0], f[-1], math.ceil(math.log(f[-1] / f[0]) / 0.02) + 1):
+        x = s / (2.0 * np.pi * at)
+        tip = s**2 * (1.0 + 0.04 * x) / (1.0 + 0.04 * x + x**2)
+        columns = weight[:, None] * np.column_stack([s**2, tip, s])
+        columns = np.vstack([columns.real, columns.imag])
+        scale = np.linalg.norm(columns, axis=0)
+        values, *_ = np.linalg.lstsq(columns / scale, right, rcond=None)
+        left = np.sum((right - columns / scale @ values) ** 2, axis=0)
+        masses = (values / scale[:, None])[:2]
+        left[~np.all(masses > 0.0, axis=0)] = math.inf
+        k = int(np.argmin(left))
+        if left[k] < least:
+            mm, mt = masses[:, k].tolist()
+            stiffness = mt * (2.0 * np.pi * at) ** 2
+            best, least = Drive(mm, mt, stiffness, 0.04 * math.sqrt(stiffness * mt)), float(left[k])
     return best
 
 
