@@ -192,7 +192,13 @@ class CuttingLimits(Abilities):
 
     @property
     def nuisances(self) -> tuple[Parameter, ...]:
-        """Frequency, damping and stiffness of each mode, and the cutting coefficients, relative to what was given."""
+        """Frequency, damping and stiffness of each mode, and the cutting coefficients, relative to what was given.
+
+        Hammer and accelerometer scale the compliance of all modes alike, as a harder work does what is cut: that is one
+        number, with a name. Of each mode by itself there are so many that together they imitate whatever a cut does to
+        a machine: moved beyond what is trusted of them they are no cause.
+        """
+        stated = "modal_scale" in self.stated
         kinds = (
             ("frequency", self.spread.frequency),
             ("damping", self.spread.damping),
@@ -208,14 +214,18 @@ class CuttingLimits(Abilities):
                 4.0,
                 sd,
                 100.0,
-                given="modal_scale",
-                stated="modal_scale" in self.stated,
+                given=f"modal_{name}",
+                stated=stated,
+                nameless=True,
                 said=f"{name} of mode {r + 1}",
             )
             for r in range(self.machine.frequency.size)
             for name, sd in kinds
         )
-        return (*modes, *material_nuisances(self.tolerances, "force_coefficients" in self.stated))
+        sd, of = RULES.common * self.spread.stiffness, ("modal_scale", stated)
+        said = "stiffness and mass of all modes"
+        common = Parameter("scale_error", "%", 0.0, 0.5 * sd, -0.8, 4.0, sd, 100.0, *of, said=said)
+        return (*modes, common, *material_nuisances(self.tolerances, "force_coefficients" in self.stated))
 
     def squared_size(self, condition: Condition, misfit: Real) -> float:
         """Return the square of the relative error of the limit depth, for a whitened misfit."""
@@ -247,7 +257,7 @@ class CuttingLimits(Abilities):
         frequency = frequency * np.sqrt(1.0 - slip)
         # Iwan's joint: loss stiffness 4/(3 pi) of the stiffness that it loses, over twice what is left.
         damping = m.damping * (1.0 + of("damping")) + 2.0 / (3.0 * math.pi) * slip / (1.0 - slip)
-        stiffness = m.stiffness * (1.0 + of("stiffness")) * (1.0 - slip)
+        stiffness = m.stiffness * (1.0 + values.get("scale_error", 0.0)) * (1.0 + of("stiffness")) * (1.0 - slip)
         damping = np.minimum(damping, HIGHEST_DAMPING)
         model = ModalModel(frequency, damping, stiffness, _turned(m.direction, of("coupling")))
         return _with_mode(model, values)
@@ -281,6 +291,11 @@ class CuttingLimits(Abilities):
     def roughly(self) -> list[tuple[str, float]]:
         """Return the measured limits that zero order does not describe, and how well each is predicted (logarithm)."""
         return [(c.name, float(k.std()[0])) for c in self.conditions if (k := _known(c)).rough]
+
+    @property
+    def measured(self) -> list[tuple[Condition, Limit]]:
+        """The limits that were found, with their conditions."""
+        return [(c, _limit(c)) for c in self.conditions]
 
     def found(self, condition: Condition) -> tuple[float, float | None]:
         """Return spindle speed [rpm] and depth [m] of a limit as it was found."""
@@ -413,8 +428,8 @@ def material_nuisances(tolerances: Tolerances, stated: bool) -> tuple[Parameter,
     of = "force_coefficients", stated
     size, ratio = "cutting coefficients, all together", "radial over tangential coefficient"
     return (
-        Parameter("coefficients", "%", 0.0, 0.5 * sd, -0.9, 9.0, sd, 100.0, *of, size),
-        Parameter("radial", "%", 0.0, 0.5 * sd, -0.9, 4.0, sd, 100.0, *of, ratio),
+        Parameter("coefficients", "%", 0.0, 0.5 * sd, -0.9, 9.0, sd, 100.0, *of, said=size),
+        Parameter("radial", "%", 0.0, 0.5 * sd, -0.9, 4.0, sd, 100.0, *of, said=ratio),
     )
 
 

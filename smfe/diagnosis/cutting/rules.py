@@ -41,6 +41,7 @@ class CuttingRules:
     line_found: float = 6.0  # standard deviations of a line of the mains
     beside: float = 8.0  # independent powers of noise beside a line
     # limits
+    common: float = 0.4  # prior standard deviation of the stiffness of all modes together, over that of each
     limit_floor: float = 0.015  # what a limit is trusted to, relative
     floor_of_correction: float = 0.25
     """Share of the (log of the) correction of the zero-order limit that is added to it."""

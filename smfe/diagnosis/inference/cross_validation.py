@@ -45,6 +45,7 @@ class HeldOut:
     trusted: bool  # whether all fits converged
     fitted: Mapping[int, tuple[Real, ...]] = field(default_factory=dict)
     """Scaled values that predicted each condition, one for each scheme."""
+    white: bool = False  # whether the noise of the values is independent and of known size
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,11 @@ class Gain:
     low: float
     """What it is worth at least [dB]: three standard deviations less where noise alone is left, which the likelihood
     ratio has then been held against; else what all but 0.135 % of the bootstrap exceeds. Near the noise floor the
-    decibels of the bootstrap are skewed, and their standard deviation bounds nothing."""
+    decibels of the bootstrap are skewed, and their standard deviation bounds nothing.
+
+    Where that noise is white the bootstrap is not the only measure of it: squares won from white noise scatter by twice
+    their root when the same conditions are measured again. That an effect acts in few of them, as a worn flank does at
+    the slowest speeds, is no scatter."""
     held_out: str = "conditions"  # or "blocks of values": what the fit did not use
 
     @property
@@ -152,7 +157,14 @@ def held_out(model: Model, target: Target, fit: Fit, chosen: Sequence[Scheme]) -
     worst = replace(worst, p_value=min(1.0, worst.p_value * len(misfits)))
     values = {r: float(target.observed[r].size) for r in squares}
     mean, floor = ({r: float(np.mean(v)) for r, v in x.items()} for x in (squares, floors))
-    return HeldOut(mean, floor, values, worst, trusted, fitted)
+    return HeldOut(mean, floor, values, worst, trusted, fitted, _white(model, list(squares)))
+
+
+def _white(model: Model, rows: Sequence[int]) -> bool:
+    """Whether the noise of conditions is independent from value to value and of a size that is known."""
+    family, known = model.family, model.noise_knowledge
+    exact = all(math.isinf(known.of(r)) and family.measured_noise(model.conditions[r]) is None for r in rows)
+    return exact and family.model_error == 0.0 and family.roughness == 0.0
 
 
 def within(model: Model, target: Target, fit: Fit) -> HeldOut | None:
@@ -276,12 +288,11 @@ def compare(before: HeldOut, after: HeldOut, rng: np.random.Generator) -> Gain:
     left = np.maximum(np.maximum(floor[drawn].sum(axis=1), excess[drawn].sum(axis=1)), 1e-9)
     decibels = np.copysign(10.0 * np.log10(1.0 + np.abs(gained) / left), gained)
     db, sd = float(decibels[0]), float(np.std(decibels[1:]))
+    low = db - 3.0 * sd if noisy else float(np.quantile(decibels[1:], RULES.three_sigma))
+    if noisy and after.white and gained[0] > 0.0:
+        least = float(gained[0]) - 3.0 * 2.0 * math.sqrt(float(gained[0]))
+        low = max(low, math.copysign(10.0 * math.log10(1.0 + abs(least) / float(left[0])), least))
     total = [sum(x.squares[r] for r in rows) for x in (before, after)]
     whole = gained[0] + left[0]
-    return Gain(
-        db,
-        sd,
-        10.0 * math.log10(total[0] / total[1]),
-        max(float(gained[0] / whole), 0.0) if whole > 0.0 else 0.0,
-        db - 3.0 * sd if noisy else float(np.quantile(decibels[1:], RULES.three_sigma)),
-    )
+    share = max(float(gained[0] / whole), 0.0) if whole > 0.0 else 0.0
+    return Gain(db, sd, 10.0 * math.log10(total[0] / total[1]), share, low)

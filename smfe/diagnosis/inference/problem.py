@@ -40,6 +40,9 @@ class Parameter:
     said: str = ""  # what it is, for people: "gain of the force sensor"; empty: its name
     secondary: bool = False
     """Of a cause: whether it only shapes what the cause does, so that a value on its bound is no objection."""
+    nameless: bool = False
+    """Of a given one: whether a value beyond its prior is no cause by itself. With the others of its kind it stands for
+    nearly anything, so that a fit that needs it is one that nothing of the catalogue explains."""
 
     def __post_init__(self) -> None:
         """Refuse a parameter that cannot be fitted."""

@@ -454,7 +454,7 @@ def _given(bench: Bench, at: Fit, beyond: Collection[str], worth: Worth) -> tupl
         value, low, high = ((value + x) * p.shown for x in (0.0, -half, half))
         trusted = p.prior * p.shown
         known = (p.name, p.said, p.given, p.start * p.shown, trusted, value, low, high, p.unit)
-        found.append(GivenParameter(*known, p.given in beyond, cost))
+        found.append(GivenParameter(*known, p.given in beyond and not p.nameless, cost))
     return tuple(found)
 
 

@@ -408,12 +408,23 @@ def _of_modes(campaign: Campaign, family: ModalFrfs, as_shown: bool) -> Depths:
 
 
 def _of_limits(campaign: Campaign, family: CuttingLimits) -> Depths:
+    """Depths of limits: where one was found, what the family compares with it; elsewhere that of zero order."""
     tool, _ = _cut_of(campaign)
+    found = {(k.spindle_speed, k.feed_per_tooth, k.arc or family.arc): c for c, k in family.measured}
+
+    def depth(values: Values, limit: Limit) -> float:
+        measured = found.get((limit.spindle_speed, limit.feed_per_tooth, limit.arc or family.arc))
+        if measured is None:
+            crossings = family.limits_at(limit, values)[0]
+            return float(crossings[0]) if crossings.size else math.inf
+        try:
+            return family.depth(measured, values)
+        except InputError:  # it does not chatter at any depth
+            return math.inf
 
     def depths(values: Values | None, a: Asked) -> list[float]:
         limits = [Limit(rpm, feed_per_tooth=a.feed_per_tooth, arc=a.arc(tool)) for rpm in a.speeds]
-        found = [family.limits_at(limit, values or {})[0] for limit in limits]
-        return [1e3 * float(d[0]) if d.size else math.inf for d in found]
+        return [1e3 * depth(values or {}, limit) for limit in limits]
 
     return depths
 

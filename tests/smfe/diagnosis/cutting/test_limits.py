@@ -186,6 +186,19 @@ def test_depth_goes_with_one_over_the_coefficients_and_nothing_else(plain: Cutti
         np.testing.assert_allclose(other[1], one[1], rtol=1e-9)
 
 
+def test_the_compliance_of_all_modes_and_the_coefficients_are_one_number(plain: CuttingLimits) -> None:
+    """Limits go with one over coefficients times compliance: no speed, feed or frequency tells one from the other."""
+    both = [p for p in plain.nuisances if p.name in ("scale_error", "coefficients")]
+    slopes = plain.slopes(plain.conditions, start(plain), both)
+    assert slopes is not None
+    for condition, found in zip(plain.conditions, slopes, strict=True):
+        scale, coefficients = (found / [p.scale for p in both]).T
+        np.testing.assert_allclose(scale, -coefficients, rtol=1e-5, atol=1e-5)
+        assert scale[0] * condition.data.std()[0] == pytest.approx(1.0, rel=1e-4)
+    assert {p.given for p in both} == {"modal_scale", "force_coefficients"}
+    assert not any(p.nameless for p in both)
+
+
 def test_slopes_of_a_crossing_are_the_differences_of_its_limits(plain: CuttingLimits) -> None:
     parameters = [*plain.nuisances, *(p for c in plain.causes for p in c.parameters)]
     values = start(plain) | {"mode_compliance": 1e-9, "process_damping": 2e4, "micro_slip_1": 0.05, "coefficients": 0.1}
