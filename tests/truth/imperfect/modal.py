@@ -40,7 +40,7 @@ EFFECTS = {
 
 Sizes are those that the tolerances of a workshop let anybody tell. Clocks agree within 20 us: 50 us are 2.5 standard
 deviations, whatever is measured. Reciprocity and what is declared of the modes tell the gain of one channel, each
-within 1 % and hits 1 % beside their point, within 1.4 to 1.9 % (Fisher information): of 5 % half would be told.
+within 1 % and hits 1 % beside their point, within 1.2 to 2.5 % (Fisher information): of 5 % half at best.
 """
 
 OUTSIDE = {
