@@ -160,11 +160,11 @@ class SimulatedMachine:
         self._prepared: dict[tuple[object, ...], RepeatedImpact] = {}
         self._one: dict[tuple[object, ...], tuple[float, Real, float]] = {}  # window, displacement, rate
 
-    def compliance(self, excited: Excited) -> Complex:
-        """Return the compliance that a measurement of this kind finds [m/N], shape (f, entries)."""
+    def compliance(self, excited: Excited, pull: float = 0.0) -> Complex:
+        """Return the compliance that a measurement of this kind finds [m/N], shape (f, entries); `pull` as of `hit`."""
         if excited.method == "hammer":
             pulse = HalfSine(excited.level, excited.duration, 0.0)
-            return self.hit(excited, pulse, _spectrum(pulse, excited.frequency.tobytes()))
+            return self.hit(excited, pulse, _spectrum(pulse, excited.frequency.tobytes()), pull)
         columns = tuple(dict.fromkeys(e for _, e in excited.entries))
         feed = {axis: excited.feed.get(axis, 0.0) for axis in self.machine.axes}
         balanced = (self.machine, excited.frequency, excited.level, feed, excited.controller)
@@ -285,17 +285,26 @@ def as_hit(family: MachineFrfs, discrepancy: float, values: Values | None = None
     smoothly by the relative `discrepancy` (rms).
     """
     if values is None:
-        values = _plausible_values(as_hit(family, discrepancy, _plausible_values(family)))
+        first = _plausible_values(family)
+        values = _plausible_values(as_hit(family, discrepancy, first), first)
     found = tuple(_of_mean_hit(family, c, values, discrepancy) for c in family.conditions)
     return replace(family, conditions=found, measured=family.conditions, discrepancy=discrepancy)
 
 
-def _plausible_values(family: MachineFrfs) -> Values:
+def _plausible_values(family: MachineFrfs, known: Values | None = None) -> Values:
+    """Return values that data move plausibly, with the level of friction free, or where it is `known` already.
+
+    Friction of another level than is declared would be made the declared one by other pulls. What was put right with a
+    level has no say in it: it would lead away step by step.
+    """
     model = Model(family, family.conditions)
     data = {r: np.asarray(c.observed) for r, c in enumerate(family.conditions) if c.observed is not None}
-    # Friction of another level than is declared would be made the declared one by other pulls.
     level = [k for k, c in enumerate(model.causes) if c.key == "guideway_friction/level"]
-    return model.values(plausibly(model, Target(data, model.null()), level))
+    target = Target(data, model.null())
+    if known is None:
+        return model.values(plausibly(model, target, level))
+    start = model.scaled({p.name: known[p.name] for k in level for p in model.causes[k].parameters})
+    return model.values(plausibly(model, target, start=start))
 
 
 def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, discrepancy: float) -> Condition:
@@ -332,6 +341,10 @@ def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, disc
     errors = errors_along_axis(excited, mean, tolerances)
     rows = [own, smooth, errors, RULES.unsure * more[None]]
     rows += [w[None] * s.unsure for w, s in zip(weight, states, strict=True) if s.unsure is not None]
+    if held > 0.0:
+        # A friction that differs between the directions does at rest what a pull does that all hits found.
+        alike = (machine.compliance(excited, sign * RULES.pull * held) for sign in (1.0, -1.0))
+        rows += [x[None] - machine.compliance(excited)[None] for x in alike]
     if found.contact > 0.0:
         rows += [
             family.simulated(other).compliance(excited)[None] - machine.compliance(excited)[None]

@@ -393,13 +393,15 @@ def roughly(model: Model, target: Target) -> Real:
     return found.u if np.isfinite(found.chi2) else model.null()
 
 
-def plausibly(model: Model, target: Target, causes: Sequence[int] = ()) -> Real:
+def plausibly(model: Model, target: Target, causes: Sequence[int] = (), start: Real | None = None) -> Real:
     """Return scaled values, with some causes, that fit some conditions while what they leave counts as noise.
+
+    All that is not fitted stays where `start` has it; default: at its null.
 
     Where something is hidden that no nuisance explains the best fit moves all of them to where nobody would believe
     them. With the noise as large as what is left, priors hold what the data are not that clear about.
     """
-    only, u, weight = part(model, target), model.null(), model.weight
+    only, u, weight = part(model, target), model.null() if start is None else start, model.weight
     values = sum(y.size for y in only.observed.values())
     try:
         for _ in range(RULES.plausible):

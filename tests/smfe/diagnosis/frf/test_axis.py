@@ -236,6 +236,16 @@ def test_what_is_softer_at_one_place_is_not_taken_for_what_the_drive_pulled_ther
     assert np.linalg.norm(seen - soft) < 0.1 * np.linalg.norm(stiff - soft)
 
 
+def test_at_rest_friction_that_differs_between_the_directions_does_mostly_what_a_pull_does():
+    _, _, found, values = one(0.0, 200.0, "K2")
+    (mended,) = as_hit(found, 0.0, values).conditions
+    effects = []
+    for condition in (found.conditions[0], mended):
+        apart = (found.predict(condition, values | {"friction_asymmetry": x}) for x in (0.1, -0.1))
+        effects.append(float(np.linalg.norm(np.subtract(*apart))))
+    assert effects[1] < 0.5 * effects[0]
+
+
 def test_a_guideway_whose_contacts_slip_one_by_one_has_the_same_curve_and_contact():
     found = baseline()
     one = found.effective(values_of(MachineFrfs(found, (nominal(),))), {}, MOVING)
