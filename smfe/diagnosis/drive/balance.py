@@ -322,20 +322,21 @@ def periodic(
     The ripple first: a screw that turns at few speeds makes lines in time as well.
     """
     cutoff = plain.filter.cutoff
-
-    def again(lead: float | None, line: float | None) -> Balance:
-        return balance_of(raw, cutoff, limit, lead, line, delay)
-
     if lead is None:
-        place = plain.seen(plain.motion.position)
-        slowest = min(float(np.median(np.abs(plain.motion.velocity[a:b]))) for a, b in plain.spans)
-        stroke = float(np.ptp(place))
-        wave = _wave(place, plain, 5.0 / stroke, cutoff / slowest, lambda w: again(1.0 / w, None))
-        if wave is not None:
-            lead = 1.0 / wave
-            plain = again(lead, None)
+        lead = wavelength(raw, plain, limit, delay)
+        if lead is not None:
+            plain = balance_of(raw, cutoff, limit, lead, None, delay)
     time = plain.seen(plain.motion.time)
-    return lead, _wave(time, plain, RULES.lowest_tone, cutoff, lambda w: again(lead, w))
+    return lead, _wave(time, plain, RULES.lowest_tone, cutoff, lambda w: balance_of(raw, cutoff, limit, lead, w, delay))
+
+
+def wavelength(raw: Channels, plain: Balance, limit: float | None, delay: float = 0.0) -> float | None:
+    """Return the wavelength of a ripple [m] in what the reference leaves, if there is one."""
+    cutoff, place = plain.filter.cutoff, plain.seen(plain.motion.position)
+    slowest = min(float(np.median(np.abs(plain.motion.velocity[a:b]))) for a, b in plain.spans)
+    lowest = 5.0 / float(np.ptp(place))
+    wave = _wave(place, plain, lowest, cutoff / slowest, lambda w: balance_of(raw, cutoff, limit, 1.0 / w, None, delay))
+    return None if wave is None else 1.0 / wave
 
 
 def _wave(

@@ -105,12 +105,15 @@ def fit_control_law(reference: Real, position: Real, force: Real, step: float, g
     scale[scale == 0.0] = 1.0
     rest = np.arange(1 + RULES.taps, scale.size)
     # An integral part with its constant would take half of a command that is there half of the time: the simplest law
-    # that leaves about as little as all of them.
+    # that leaves about as little as all of them most of the time. Of these a richer one only where it leaves less of
+    # all samples, too: a part that acts while the axis gathers speed is no command, and hardly moves a median.
     floor = RULES.floor * float(np.ptp(force))
     parts = (rest[:0], rest[RULES.integral :], rest)
     found = [_solved(columns[rows] / scale, force[rows], scale, kept, gains) for kept in parts]
-    least = min(_spread(left) for _, left in found)
-    whole, left = next(x for x in found if _spread(x[1]) <= RULES.better * max(least, floor))
+    least = RULES.better * max(min(_spread(left) for _, left in found), floor)
+    usual = [x for x in found if _spread(x[1]) <= least]
+    least = RULES.better * max(min(float(np.std(left)) for _, left in usual), floor)
+    whole, left = next(x for x in usual if float(np.std(x[1])) <= least)
     taps = whole[1 : 1 + RULES.taps]
     return ControlLaw(gains, taps / taps.sum(), max(_spread(left), floor), whole)
 

@@ -41,6 +41,7 @@ from smfe.diagnosis.drive.balance import (
     settings_of,
     spans_of,
     usable_band,
+    wavelength,
     whitener_of,
 )
 from smfe.diagnosis.drive.control_law import (
@@ -283,23 +284,32 @@ class DriveRecordFamily(Abilities):
         return force / whole if whole > 0.0 else math.inf
 
     def squared_change(self, condition: Condition, before: Values, after: Values, misfit: Real) -> float:
-        """Return the same of what lies between two forces, with what the low-pass takes away of it.
+        """Return the same of what lies between two forces, with what the low-pass takes away of it and of the force.
 
-        A ripple at full speed, or friction that changes within a reversal, acts though it is beyond the band.
+        A ripple at full speed, friction that changes within a reversal, or a delay while the axis gathers speed acts
+        though it is beyond the band.
         """
         data = condition.data
         if not isinstance(data, ForceData):
             return self.squared_size(condition, misfit)
         m = data.motion
-        moves = np.where(m.standing, 0.0, 1.0)
-        change = moves * (self._missing(m, after) - self._missing(m, before))
-        margin = self.model.resampler.margin
-        inner = slice(margin, m.time.size - margin)
-        # What the low-pass passes and what it takes away are orthogonal; where the axis stands neither is anything.
-        passed = self.model.resampler(change)
-        beyond = passed.size * float(np.mean(np.square(change[inner])) - np.mean(np.square(passed)))
+        change = np.where(
+            m.standing, 0.0, self._missing(m, after) - self._missing(m, before) + self._early(m, before, after)
+        )
+        limit = math.inf if self.model.limit is None else self.model.limit
+        acting = np.where(m.standing, 0.0, np.clip(data.drive, -limit, limit))
         inside, whole = self._squares(data, misfit)
-        return (inside + max(beyond, 0.0)) / whole if whole > 0.0 else math.inf
+        whole += self._beyond(acting)
+        return (inside + self._beyond(change)) / whole if whole > 0.0 else math.inf
+
+    def _beyond(self, force: Real) -> float:
+        """Return the squares of what the low-pass takes away of a force [N2], at as many values as it keeps.
+
+        What it passes and what it takes away are orthogonal; where the axis stands neither is anything.
+        """
+        margin, passed = self.model.resampler.margin, self.model.resampler(force)
+        inner = force[margin : force.size - margin]
+        return max(passed.size * float(np.mean(np.square(inner)) - np.mean(np.square(passed))), 0.0)
 
     def _squares(self, data: ForceData, misfit: Real) -> tuple[float, float]:
         """Return the squares of the force that a whitened misfit is [N2], and those of the drive force of its move."""
@@ -319,6 +329,15 @@ class DriveRecordFamily(Abilities):
             if acts and term.cause.id != "missing_mode":
                 total = total + term.force(m, values)
         return total
+
+    def _early(self, m: Motion, before: Values, after: Values) -> Real:
+        """Return what a change of the delay alone makes of the force that acts [N], where the axis moves then, too."""
+        early = before["loop_delay.delay"] - after["loop_delay.delay"]
+        if early == 0.0:
+            return np.zeros_like(m.time)
+        force = after["mass"] * m.acceleration + after["viscous"] * m.velocity + self._missing(m, after)
+        moving = late((~m.standing).astype(float), m.step, early) == 1.0
+        return np.where(moving, late(force, m.step, early) - force, 0.0)
 
     def _share(self, condition: Condition) -> float:
         """Return the share that the data of a condition and of all like it have in the squares of all data [1]."""
@@ -426,23 +445,23 @@ def _usable_band(raw: Channels, lead: float | None, delay: float, material: floa
     """Return the band of the comparison [Hz], how far the force stands above the noise at its end, and a lead [m].
 
     A ripple and a tone that matter end the band no more than anything else that is explained. To reach a tone it may
-    end where the force stands 13 dB above the noise. The lead is that of a ripple which is seen in a wider band, at
-    speeds at which that of the comparison has nothing of it.
+    end where the force stands 13 dB above the noise. The lead is looked for in the widest band: a screw that turns fast
+    makes a ripple of which that of the comparison has nothing but while the axis gathers speed.
     """
     widest = RULES.widest / raw.step
     limit = lost_beyond(raw, balance_of(raw, widest, None, delay=delay))
     plain = balance_of(raw, widest, limit, delay=delay)
     cutoff = usable_band(plain)
     middle = min(RULES.beyond * cutoff, widest)
-    before = balance_of(raw, middle, limit, lead, delay=delay)
-    waves = periodic(raw, before, limit, lead, delay)
-    after = balance_of(raw, middle, limit, *waves, delay)
-    explained = float(np.mean(np.square(before.left)) - np.mean(np.square(after.left)))
-    if explained < (RULES.worth_a_band * material) ** 2 * float(np.mean(np.square(before.force))):
+    lead = lead or wavelength(raw, plain, limit, delay)
+    waves = periodic(raw, balance_of(raw, middle, limit, lead, delay=delay), limit, lead, delay)
+    full = balance_of(raw, widest, limit, *waves, delay)
+    explained = float(np.mean(np.square(plain.left)) - np.mean(np.square(full.left)))
+    if explained < (RULES.worth_a_band * material) ** 2 * float(np.mean(np.square(plain.force))):
         return cutoff, RULES.above_noise, waves[0]
-    cutoff = max(cutoff, usable_band(balance_of(raw, widest, limit, *waves, delay)))
+    cutoff = max(cutoff, usable_band(full))
     reach = RULES.above_line * (waves[1] or 0.0)
-    if cutoff < reach <= usable_band(after, RULES.above_line_noise):
+    if cutoff < reach <= usable_band(balance_of(raw, middle, limit, *waves, delay), RULES.above_line_noise):
         return reach, RULES.above_line_noise, waves[0]
     return cutoff, RULES.above_noise, waves[0]
 

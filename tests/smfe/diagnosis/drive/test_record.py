@@ -330,6 +330,52 @@ def test_a_ripple_beyond_the_band_counts_by_its_force() -> None:
     assert np.sqrt(worth / whole) == pytest.approx(5.0 / np.sqrt(2.0), rel=0.15)
 
 
+def test_a_delay_counts_by_the_force_that_comes_late_in_any_band() -> None:
+    """Force that comes 2 ms late differs most where the axis gathers speed, of which a narrow band has little.
+
+    A trapezoid of 1.2 m/s2 over 12 ms: M jerk dt. Its size is that of the difference, whatever the band.
+    """
+    sizes = []
+    for cutoff in (10.0, 40.0):
+        made = family(Axis(), seconds=28.0, delay=0.5 * STEP, cutoff=cutoff)
+        null = null_values(made)
+        late_ = null | {"loop_delay.delay": null["loop_delay.delay"] + 2e-3}
+        moving = [c for c in made.conditions if isinstance(c.data, ForceData)]
+        worth = whole = 0.0
+        for c in moving:
+            square = float(np.sum(np.square(c.data.force)))
+            worth += square * made.squared_change(c, null, late_, made.predict(c, late_) - made.predict(c, null))
+            whole += square
+        sizes.append(np.sqrt(worth / whole))
+        assert made.squared_change(moving[0], null, null, np.zeros_like(moving[0].observed)) == 0.0
+    assert sizes[0] == pytest.approx(sizes[1], rel=0.2)
+
+
+def test_a_lead_is_found_at_speeds_of_which_the_band_has_nothing() -> None:
+    """A ripple of 1 mm at 0.1 m/s and faster is one of 100 Hz and more; the band ends at a third of that."""
+    fast = Axis(ripple=6.0, lead=1e-3, speeds=(0.1, 0.15, 0.1, 0.2), pole=0.9)
+    made = family(fast, seconds=24.0, delay=0.5 * STEP)
+    (lead,) = (p.start for c in made.causes for p in c.parameters if p.name == "ripple.lead")
+    assert lead == pytest.approx(1e-3, rel=2e-3)
+    assert made.model.resampler.cutoff < 40.0
+
+
+def test_an_integral_part_that_acts_now_and_then_is_no_hidden_command() -> None:
+    """Noise of the encoder hides an integral part that acts a tenth of the time: medians do not tell the laws apart."""
+    rng, n, gains = np.random.default_rng(3), 20_000, Gains(POSITION_GAIN, VELOCITY_GAIN)
+    t = np.arange(n) * STEP
+    r, near = 0.1 * np.sin(0.8 * t), (t % 2.0 - 1.0) / 0.05
+    q = r - 1e-5 * near * np.exp(-np.square(near))
+    error = VELOCITY_GAIN * (
+        POSITION_GAIN * (r - q) + np.diff(r, prepend=r[0]) / STEP - np.diff(q, prepend=q[0]) / STEP
+    )
+    acting = np.cumsum(error) * STEP / 5e-3
+    force = error + acting + 0.05 * np.ptp(acting) * rng.standard_normal(n)
+    law = fit_control_law(r, q, force, STEP, gains)
+    assert law.whole[5] == pytest.approx(VELOCITY_GAIN * POSITION_GAIN / 5e-3, rel=0.1)
+    assert unlogged_command(law, r, q, force, STEP)[1] == ()
+
+
 def test_what_a_record_lacks_is_said() -> None:
     t = np.arange(9_000) * STEP
     channels = {"encoder_position": {"x": 0.01 * np.sin(t)}}
