@@ -9,10 +9,12 @@ record. What is left over is a command that was not logged.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from process.errors import InputError
 from process.types import Real
@@ -42,23 +44,34 @@ class ControlLaw:
     taps: Real  # shape (k,): weights of the newest, the last ... backward difference [1], sum 1
     noise: float  # standard deviation of what the law leaves, from the median [N]
     whole: Real  # factors of the columns of `_columns`
+    scatter: float = 0.0  # relative standard deviation of the velocity gain by least squares [1]
 
     def lag(self, step: float) -> float:
         """Return the lag of the velocity [s] behind the newest encoder value: half a step and the mean tap."""
         return step * (0.5 + float(self.taps @ np.arange(self.taps.size)))
 
-    def uncertainty(self, whole: float) -> float:
-        """Return the relative standard deviation of the gains that the law shows, of a force with an rms `whole` [N].
+    def uncertainty(self, whole: float) -> Gains:
+        """Return the relative standard deviations of the gains that the law shows, of a force with an rms `whole` [N].
 
-        What is left of the force is not white: a command between the samples of the log, hum, clocks that are apart. It
-        may look like a column, and the gains are off by a few times its share of the force.
+        What is left of the force is not white: a command between the samples of the log, clocks that are apart. It may
+        look like a column, and the gains are off by a few times its share of the force, or of what least squares makes
+        of it where the axis follows its reference so well that both say the same. With an integral part the
+        position gain is one of two roots, known the less the nearer they are.
         """
-        return max(RULES.told, RULES.off * self.noise / whole)
+        told = max(RULES.told, RULES.off * self.noise / whole, RULES.off * self.scatter)
+        _, both, product = self._factors
+        apart = math.sqrt(max(both**2 - 4.0 * product, 0.0))
+        return Gains(told * both / max(apart, RULES.off * told * both), told)
 
     def tells(self, whole: float) -> bool:
         """Whether the law shows gains that can be held against the documented ones, of a force with an rms [N]."""
+        return self.plausible and self.uncertainty(whole).velocity <= RULES.vague
+
+    @property
+    def plausible(self) -> bool:
+        """Whether the factors are those of a control."""
         velocity, both, product = self._factors
-        return self.uncertainty(whole) <= RULES.vague and velocity > 0.0 and both > 0.0 and product >= 0.0
+        return velocity > 0.0 and both > 0.0 and product >= 0.0
 
     @property
     def _factors(self) -> tuple[float, float, float]:
@@ -99,23 +112,75 @@ def fit_control_law(reference: Real, position: Real, force: Real, step: float, g
     """
     if not np.any(reference - position) or not np.ptp(position):
         raise InputError("the axis does not move, or follows its reference exactly: the record says nothing of the law")
-    columns = _columns(reference, position, step)
     rows = slice(2 * RULES.taps, position.size - RULES.ahead)
-    scale = np.sqrt(np.mean(np.square(columns[rows]), axis=0))
+    return _fitted(_columns(reference, position, step)[rows], force[rows], gains)
+
+
+def fit_gains(
+    reference: Real, position: Real, force: Real, step: float, gains: Gains, pulses: Sequence[Pulse] = ()
+) -> ControlLaw | None:
+    """Find the law from what a band-pass leaves of a record, for its gains; away from commands that were not logged.
+
+    None where these leave too little.
+
+    The differences of an encoder are noisy, which makes gains look smaller (errors in variables), hum is in the logged
+    force alone, and an integral part adds up what two readings of one encoder differ by. The law is linear: it holds
+    behind any filter, of moving means over a turn of the mains of both kinds less one over 0.2 s too.
+    """
+
+    def passed(values: Real) -> Real:
+        for seconds in RULES.means:
+            values = uniform_filter1d(values, max(round(seconds / step), 1), axis=0)
+        return values - uniform_filter1d(values, round(RULES.slow_mean / step), axis=0)
+
+    reach = round(RULES.slow_mean / step)
+    used = np.zeros(position.size, dtype=bool)
+    used[reach : position.size - reach : max(round(RULES.gains_every / step), 1)] = True
+    for p in pulses:
+        used[max(round(p.begin / step) - reach, 0) : round(p.end / step) + reach] = False
+    columns, given = passed(_columns(reference, position, step)), passed(force)
+    if np.count_nonzero(used) < RULES.values_each * columns.shape[1]:
+        return None
+    return _fitted(columns[used], given[used], gains)
+
+
+def _fitted(columns: Real, force: Real, gains: Gains) -> ControlLaw:
+    """Return the simplest law that leaves about as little as all of them.
+
+    An integral part with its constant would take half of a command that is there half of the time: what is left most of
+    the time counts first. Of the laws that leave as little then a richer one is taken only where it leaves less of all
+    values, too: a part that acts while the axis gathers speed is no command, and hardly moves a median.
+    """
+    scale = np.sqrt(np.mean(np.square(columns), axis=0))
     scale[scale == 0.0] = 1.0
     rest = np.arange(1 + RULES.taps, scale.size)
-    # An integral part with its constant would take half of a command that is there half of the time: the simplest law
-    # that leaves about as little as all of them most of the time. Of these a richer one only where it leaves less of
-    # all samples, too: a part that acts while the axis gathers speed is no command, and hardly moves a median.
     floor = RULES.floor * float(np.ptp(force))
-    parts = (rest[:0], rest[RULES.integral :], rest)
-    found = [_solved(columns[rows] / scale, force[rows], scale, kept, gains) for kept in parts]
-    least = RULES.better * max(min(_spread(left) for _, left in found), floor)
-    usual = [x for x in found if _spread(x[1]) <= least]
-    least = RULES.better * max(min(float(np.std(left)) for _, left in usual), floor)
-    whole, left = next(x for x in usual if float(np.std(x[1])) <= least)
-    taps = whole[1 : 1 + RULES.taps]
-    return ControlLaw(gains, taps / taps.sum(), max(_spread(left), floor), whole)
+    found = []
+    for kept in (rest[:0], rest[RULES.integral :], rest):
+        whole, left = _solved(columns / scale, force, scale, kept, gains)
+        taps = whole[1 : 1 + RULES.taps]
+        law = ControlLaw(
+            gains, taps / taps.sum(), max(_spread(left), floor), whole, _scatter(columns / scale, left, scale, whole)
+        )
+        found.append((law, float(np.std(left))))
+    possible = [x for x in found if x[0].plausible] or found
+    least = RULES.better * min(law.noise for law, _ in possible)
+    usual = [x for x in possible if x[0].noise <= least]
+    least = RULES.better * max(min(all_ for _, all_ in usual), floor)
+    return next(law for law, all_ in usual if all_ <= least)
+
+
+def _scatter(columns: Real, left: Real, scale: Real, whole: Real) -> float:
+    """Return the relative standard deviation of the velocity gain by least squares of columns over their scale.
+
+    Neighbours of `RULES.gains_every` share most of the moving mean that they come from.
+    """
+    kept = whole != 0.0
+    own = columns[:, kept]
+    sums = (np.isin(np.arange(scale.size), np.arange(1, 1 + RULES.taps)) / scale)[kept]
+    square = float(sums @ np.linalg.pinv(own.T @ own, rcond=1e-14, hermitian=True) @ sums)
+    alike = RULES.means[0] / RULES.gains_every
+    return float(np.std(left)) * math.sqrt(alike * max(square, 0.0)) / abs(float(whole[1 : 1 + RULES.taps].sum()))
 
 
 def _solved(columns: Real, force: Real, scale: Real, rest: NDArray[np.int64], gains: Gains) -> tuple[Real, Real]:

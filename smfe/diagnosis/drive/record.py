@@ -49,6 +49,7 @@ from smfe.diagnosis.drive.control_law import (
     Gains,
     Pulse,
     fit_control_law,
+    fit_gains,
     unlogged_command,
     without_line,
 )
@@ -100,9 +101,9 @@ class _LawData:
 
 @dataclass(frozen=True)
 class _GainData:
-    """Gains that a control law shows over the documented ones, less one, in units of their standard deviation `sd`."""
+    """Gains that a control law shows over the documented ones, less one, velocity and position, each over its `sd`."""
 
-    sd: float
+    sd: Real = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -118,6 +119,7 @@ class DriveModel:
     peak: float  # largest drive force [N]
     limit: float | None = None  # drive force beyond which the axis seems to get less than was asked for [N]
     law: ControlLaw | None = None  # control law with its velocity filter
+    shown: ControlLaw | None = None  # the same behind a band-pass, which shows its gains
     line: float | None = None  # frequency of a tone in the drive force [Hz]
     draws: tuple[NoiseDraw, ...] = ()  # noises that the record could as well have come from
 
@@ -273,7 +275,7 @@ class DriveRecordFamily(Abilities):
     def squared_size(self, condition: Condition, misfit: Real) -> float:
         """Return the squares of the force that a whitened misfit is, over those of the drive force of its move [1]."""
         if isinstance(condition.data, _GainData):
-            return float(np.mean(np.square(misfit))) * condition.data.sd**2
+            return float(np.mean(np.square(misfit * condition.data.sd)))
         if isinstance(condition.data, _LawData):
             # A command that comes and goes counts by its height, in however few moves it does.
             height = float(np.sqrt(np.mean(np.square(misfit)))) * condition.data.noise
@@ -403,12 +405,13 @@ def _learn(
     lead, line = periodic(raw, balance_of(raw, cutoff, limit, lead, delay=delay), limit, lead, delay)
     full = balance_of(raw, cutoff, limit, lead, line, delay)
     whitener = whitener_of(full)
-    law = None
+    law = shown = None
     if gains is not None and raw.reference is not None:
         given = without_line(raw.reference, raw.position, raw.force, raw.step, line)
         law = fit_control_law(raw.reference, raw.position, given, raw.step, gains)
-    nuisances = (*_nuisances(full, mass, tolerances), _timing(cutoff, above, delay, tolerances))
-    if law is not None and law.tells(float(np.std(raw.force))):
+        shown = _shown(raw, given, law)
+    nuisances = (*_nuisances(full, mass, tolerances, limit), _timing(cutoff, above, delay, tolerances))
+    if shown is not None and shown.tells(float(np.std(raw.force))):
         within, said = tolerances.control_gain, "gain of the control over the one that was given"
         nuisances += tuple(
             Parameter(f"servo_gains.{n}", "%", 0.0, 0.01, -0.9, 9.0, within, 100.0, "servo_gains", said=f"{n} {said}")
@@ -436,6 +439,7 @@ def _learn(
         peak=float(np.max(np.abs(raw.force))),
         limit=limit,
         law=law,
+        shown=shown,
         line=line,
         draws=noise_draws(whitener, full.moves, full.regressors, full.kinds),
     )
@@ -452,7 +456,7 @@ def _usable_band(raw: Channels, lead: float | None, delay: float, material: floa
     limit = lost_beyond(raw, balance_of(raw, widest, None, delay=delay))
     plain = balance_of(raw, widest, limit, delay=delay)
     cutoff = usable_band(plain)
-    middle = min(RULES.beyond * cutoff, widest)
+    middle = min(max(RULES.beyond * cutoff, RULES.below_mains), widest)
     lead = lead or wavelength(raw, plain, limit, delay)
     waves = periodic(raw, balance_of(raw, middle, limit, lead, delay=delay), limit, lead, delay)
     full = balance_of(raw, widest, limit, *waves, delay)
@@ -466,9 +470,13 @@ def _usable_band(raw: Channels, lead: float | None, delay: float, material: floa
     return cutoff, RULES.above_noise, waves[0]
 
 
-def _nuisances(balance: Balance, mass: tuple[float, float] | None, tolerances: Tolerances) -> tuple[Parameter, ...]:
-    """Start the baseline at its least squares."""
+def _nuisances(
+    balance: Balance, mass: tuple[float, float] | None, tolerances: Tolerances, limit: float | None
+) -> tuple[Parameter, ...]:
+    """Start the baseline at its least squares, of the force up to the limit of the drive: what is beyond never acts."""
     m, force = balance.motion, balance.force
+    if limit is not None:
+        force = force - balance.moved(excess(balance.acting, limit))
     columns = [balance.moved(x) for x in (m.acceleration, m.velocity, np.ones_like(m.velocity))]
     check_balance(force, columns[0], columns[1], None if mass is None else mass[0])
     found = np.linalg.lstsq(np.stack(columns, axis=1), force, rcond=None)[0]
@@ -548,6 +556,13 @@ def _spread(condition: Condition, columns: Real) -> Real:
     return whole
 
 
+def _shown(raw: Channels, force: Real, law: ControlLaw) -> ControlLaw | None:
+    """Return the law that shows the gains of the control, of a force [N] without a tone."""
+    assert raw.reference is not None
+    pulses = unlogged_command(law, raw.reference, raw.position, force, raw.step)[1]
+    return fit_gains(raw.reference, raw.position, force, raw.step, law.gains, pulses)
+
+
 def _law_conditions(
     raw: Channels, moving: Motion, shared: DriveModel, law: ControlLaw, name: str
 ) -> tuple[list[Condition], tuple[Pulse, ...]]:
@@ -556,10 +571,12 @@ def _law_conditions(
     given = without_line(raw.reference, raw.position, raw.force, raw.step, shared.line)
     left, pulses = unlogged_command(law, raw.reference, raw.position, given, raw.step)
     whole, found = float(np.std(raw.force)), list[Condition]()
-    if any(p.given == "servo_gains" for p in shared.nuisances):
-        gains = np.array([law.found.velocity / law.gains.velocity, law.found.position / law.gains.position])
-        text, told = f"{name + ' ' if name else ''}control law", law.uncertainty(whole)
-        found.append(Condition(text, {}, (gains - 1.0) / told, "control law", _GainData(told)))
+    own = _shown(raw, given, law) if any(p.given == "servo_gains" for p in shared.nuisances) else None
+    if own is not None and own.plausible:
+        gains = np.array([own.found.velocity / law.gains.velocity, own.found.position / law.gains.position])
+        told = own.uncertainty(whole)
+        text, sd_ = f"{name + ' ' if name else ''}control law", np.array([told.velocity, told.position])
+        found.append(Condition(text, {}, (gains - 1.0) / sd_, "control law", _GainData(sd_)))
     if not pulses:
         return found, pulses
     length = max(round(float(np.median([p.end - p.begin for p in pulses])) / raw.step), 1)

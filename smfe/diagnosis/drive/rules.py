@@ -24,7 +24,8 @@ class DriveRules:
     # band and filters
     widest: float = 0.1  # band in units of the sample rate
     above_noise: float = 200.0  # force over what the reference leaves, in power, where a record can be used
-    beyond: float = 2.5  # times the band up to which ripple and tone are looked for that may end it
+    beyond: float = 2.5  # times the band up to which a tone is looked for that may end it
+    below_mains: float = 40.0  # [Hz] up to which it is in any case: mains hum of 50 Hz is ordinary
     worth_a_band: float = 0.5  # share of what is material, from which they widen it
     above_line: float = 1.25  # frequency over that of a tone which the low-pass must pass
     above_line_noise: float = 20.0  # as `above_noise`, where that is needed to reach a tone
@@ -75,7 +76,10 @@ class DriveRules:
     pulse_share: float = 0.02  # of the highest pulse, from which others count
     shortest_pulse: int = 3  # [samples]
     told: float = 5e-3  # standard deviation of the gains that an exact law shows [1]
-    off: float = 6.0  # the same over the share of the force that a law leaves: of twelve records the worst was 12.5
+    off: float = 3.0  # the same over the share that a law leaves: of twelve records the rms was 1.7, the worst 3.4
+    means: tuple[float, ...] = (0.02, 1.0 / 60.0)  # moving means behind which gains are found: turns of the mains [s]
+    slow_mean: float = 0.2  # what is slower is left out, too [s]
+    gains_every: float = 5e-3  # between values for the gains [s]
     vague: float = 0.05  # standard deviation beyond which gains are not told [1]
     even: float = 0.02  # share of their height by which pulses differ
     floor: float = 1e-8  # of the noise over the range of the force
