@@ -14,7 +14,7 @@ from smfe.campaign import Campaign, Measurement, RigidDrive
 from smfe.diagnosis.cases.case import Case
 from smfe.diagnosis.cases.experiments import proposed_moves
 from smfe.diagnosis.checks.suspect import Suspect, warning
-from smfe.diagnosis.drive.control_law import ControlLaw, Gains, fit_control_law, unlogged_command
+from smfe.diagnosis.drive.control_law import ControlLaw, Gains, fit_laws, unlogged_command
 from smfe.diagnosis.drive.record import DriveRecordFamily
 from smfe.identification.measurement import records_of
 
@@ -105,7 +105,7 @@ def unlogged_suspects(campaign: Campaign, baseline: RigidDrive) -> Iterator[Susp
             )
         x, q, f = (np.asarray(read.record[n].sel(axis=axis).values, dtype=float) for n in names)
         step = sample_interval(read.record)
-        law = law or fit_control_law(x, q, f, step, Gains(baseline.Kv, baseline.Kp))
+        law = law or fit_laws(x, q, f, step, Gains(baseline.Kv, baseline.Kp))[0]
         pulses = unlogged_command(law, x, q, f, step, campaign.tolerances.material)[1]
         if pulses:
             height, length = np.median([(p.height, p.end - p.begin) for p in pulses], axis=0)

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import median_filter, uniform_filter1d
 
 from process.errors import InputError
 from process.types import Real
@@ -104,6 +104,24 @@ class Pulse:
     height: float
 
 
+def fit_laws(
+    reference: Real, position: Real, force: Real, step: float, gains: Gains
+) -> tuple[ControlLaw, ControlLaw | None]:
+    """Find the law of all samples, which shows what was not logged, and that of `fit_gains`, which shows its gains.
+
+    Where the second is told and the first has another velocity gain, that has taken the axis for its control (noise of
+    the encoder makes its gains look smaller): what it leaves is no command, and its noise is said to be infinite.
+    """
+    law = fit_control_law(reference, position, force, step, gains)
+    pulses = unlogged_command(law, reference, position, force, step)[1]
+    for known in (pulses, ()):  # what the wrong law leaves may leave nothing to be found beside
+        shown = fit_gains(reference, position, force, step, gains, known)
+        if shown is not None and shown.tells(float(np.std(force))):
+            same = law.plausible and abs(law.found.velocity / shown.found.velocity - 1.0) <= RULES.same_gain
+            return (law if same else replace(law, noise=math.inf)), shown
+    return law, shown
+
+
 def fit_control_law(reference: Real, position: Real, force: Real, step: float, gains: Gains) -> ControlLaw:
     """Find a control law from a record (trimmed least squares, other gains allowed).
 
@@ -158,10 +176,9 @@ def _fitted(columns: Real, force: Real, gains: Gains) -> ControlLaw:
     found = []
     for kept in (rest[:0], rest[RULES.integral :], rest):
         whole, left = _solved(columns / scale, force, scale, kept, gains)
+        scatter = _scatter(columns / scale, left, scale, whole)
         taps = whole[1 : 1 + RULES.taps]
-        law = ControlLaw(
-            gains, taps / taps.sum(), max(_spread(left), floor), whole, _scatter(columns / scale, left, scale, whole)
-        )
+        law = ControlLaw(gains, taps / taps.sum(), max(_spread(left), floor), whole, scatter)
         found.append((law, float(np.std(left))))
     possible = [x for x in found if x[0].plausible] or found
     least = RULES.better * min(law.noise for law, _ in possible)
@@ -250,18 +267,19 @@ def unlogged_command(
     """Return what was added to the command of the law [N], sample by sample, and its pulses.
 
     A pulse is what stands out by ten standard deviations of the noise, by 2 % of the highest and by a share of the rms
-    of the force, `material`, for three samples or more; its height is the median.
+    of the force, `material`, for three samples or more, of medians over five that leave edges where they are; it lasts
+    as long as half of that stands out, so that noise does not break it up. Its height is the median.
     """
     left = force - law.command(reference, position, step)
     left[: 2 * RULES.taps] = 0.0
     left[left.size - RULES.ahead :] = 0.0
-    highest, whole = float(np.max(np.abs(left))), float(np.std(force))
-    out = np.abs(left) > max(RULES.detect * law.noise, RULES.pulse_share * highest, material * whole)
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], out.astype(np.int8), [0])))).reshape(-1, 2)
+    size = np.abs(median_filter(left, 2 * RULES.shortest_pulse - 1))
+    least = max(RULES.detect * law.noise, RULES.pulse_share * float(size.max()), material * float(np.std(force)))
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], (size > 0.5 * least).astype(np.int8), [0])))).reshape(-1, 2)
     pulses = tuple(
         Pulse(float(a * step), float(b * step), float(np.median(left[a:b])))
         for a, b in edges
-        if b - a >= RULES.shortest_pulse
+        if np.count_nonzero(size[a:b] > least) >= RULES.shortest_pulse
     )
     return left, pulses
 

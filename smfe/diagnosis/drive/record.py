@@ -48,8 +48,8 @@ from smfe.diagnosis.drive.control_law import (
     ControlLaw,
     Gains,
     Pulse,
-    fit_control_law,
     fit_gains,
+    fit_laws,
     unlogged_command,
     without_line,
 )
@@ -286,7 +286,7 @@ class DriveRecordFamily(Abilities):
         return force / whole if whole > 0.0 else math.inf
 
     def squared_change(self, condition: Condition, before: Values, after: Values, misfit: Real) -> float:
-        """Return the same of what lies between two forces, with what the low-pass takes away of it and of the force.
+        """Return the same of what lies between two forces, with what the low-pass takes away of it.
 
         A ripple at full speed, friction that changes within a reversal, or a delay while the axis gathers speed acts
         though it is beyond the band.
@@ -298,20 +298,13 @@ class DriveRecordFamily(Abilities):
         change = np.where(
             m.standing, 0.0, self._missing(m, after) - self._missing(m, before) + self._early(m, before, after)
         )
-        limit = math.inf if self.model.limit is None else self.model.limit
-        acting = np.where(m.standing, 0.0, np.clip(data.drive, -limit, limit))
+        margin = self.model.resampler.margin
+        inner = slice(margin, m.time.size - margin)
+        # What the low-pass passes and what it takes away are orthogonal; where the axis stands neither is anything.
+        passed = self.model.resampler(change)
+        beyond = passed.size * float(np.mean(np.square(change[inner])) - np.mean(np.square(passed)))
         inside, whole = self._squares(data, misfit)
-        whole += self._beyond(acting)
-        return (inside + self._beyond(change)) / whole if whole > 0.0 else math.inf
-
-    def _beyond(self, force: Real) -> float:
-        """Return the squares of what the low-pass takes away of a force [N2], at as many values as it keeps.
-
-        What it passes and what it takes away are orthogonal; where the axis stands neither is anything.
-        """
-        margin, passed = self.model.resampler.margin, self.model.resampler(force)
-        inner = force[margin : force.size - margin]
-        return max(passed.size * float(np.mean(np.square(inner)) - np.mean(np.square(passed))), 0.0)
+        return (inside + max(beyond, 0.0)) / whole if whole > 0.0 else math.inf
 
     def _squares(self, data: ForceData, misfit: Real) -> tuple[float, float]:
         """Return the squares of the force that a whitened misfit is [N2], and those of the drive force of its move."""
@@ -408,8 +401,7 @@ def _learn(
     law = shown = None
     if gains is not None and raw.reference is not None:
         given = without_line(raw.reference, raw.position, raw.force, raw.step, line)
-        law = fit_control_law(raw.reference, raw.position, given, raw.step, gains)
-        shown = _shown(raw, given, law)
+        law, shown = fit_laws(raw.reference, raw.position, given, raw.step, gains)
     nuisances = (*_nuisances(full, mass, tolerances, limit), _timing(cutoff, above, delay, tolerances))
     if shown is not None and shown.tells(float(np.std(raw.force))):
         within, said = tolerances.control_gain, "gain of the control over the one that was given"
@@ -556,13 +548,6 @@ def _spread(condition: Condition, columns: Real) -> Real:
     return whole
 
 
-def _shown(raw: Channels, force: Real, law: ControlLaw) -> ControlLaw | None:
-    """Return the law that shows the gains of the control, of a force [N] without a tone."""
-    assert raw.reference is not None
-    pulses = unlogged_command(law, raw.reference, raw.position, force, raw.step)[1]
-    return fit_gains(raw.reference, raw.position, force, raw.step, law.gains, pulses)
-
-
 def _law_conditions(
     raw: Channels, moving: Motion, shared: DriveModel, law: ControlLaw, name: str
 ) -> tuple[list[Condition], tuple[Pulse, ...]]:
@@ -571,7 +556,8 @@ def _law_conditions(
     given = without_line(raw.reference, raw.position, raw.force, raw.step, shared.line)
     left, pulses = unlogged_command(law, raw.reference, raw.position, given, raw.step)
     whole, found = float(np.std(raw.force)), list[Condition]()
-    own = _shown(raw, given, law) if any(p.given == "servo_gains" for p in shared.nuisances) else None
+    tells = any(p.given == "servo_gains" for p in shared.nuisances)
+    own = fit_gains(raw.reference, raw.position, given, raw.step, law.gains, pulses) if tells else None
     if own is not None and own.plausible:
         gains = np.array([own.found.velocity / law.gains.velocity, own.found.position / law.gains.position])
         told = own.uncertainty(whole)

@@ -80,6 +80,7 @@ class DriveRules:
     means: tuple[float, ...] = (0.02, 1.0 / 60.0)  # moving means behind which gains are found: turns of the mains [s]
     slow_mean: float = 0.2  # what is slower is left out, too [s]
     gains_every: float = 5e-3  # between values for the gains [s]
+    same_gain: float = 0.25  # by which the velocity gain of a law may differ from that behind a band-pass [1]
     vague: float = 0.05  # standard deviation beyond which gains are not told [1]
     even: float = 0.02  # share of their height by which pulses differ
     floor: float = 1e-8  # of the noise over the range of the force

@@ -14,7 +14,7 @@ from truth.drive import STEP, Axis, simulate
 from process.errors import InputError
 from process.labels import make_record
 from smfe.diagnosis.drive.balance import Channels, balance_of, check_balance, lost_beyond
-from smfe.diagnosis.drive.control_law import ControlLaw, Gains, fit_control_law, fit_gains, unlogged_command
+from smfe.diagnosis.drive.control_law import ControlLaw, Gains, fit_control_law, fit_gains, fit_laws, unlogged_command
 from smfe.diagnosis.drive.filters import Motion, Path, Resampler, motion, moves, presliding, standing
 from smfe.diagnosis.drive.noise import Whitener, strongest_wave
 from smfe.diagnosis.drive.record import DriveRecordFamily, ForceData
@@ -327,6 +327,35 @@ def test_noise_of_the_encoder_and_hum_move_no_gain_that_is_told() -> None:
     assert told.found.velocity == pytest.approx(VELOCITY_GAIN, rel=0.02)
 
 
+def test_a_law_that_is_not_that_behind_a_band_pass_shows_no_commands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With half of the velocity gain what is left is the axis, whatever stands out of it."""
+    s = simulate(Axis(coulomb=20.0, seconds=12.0), 2)
+    channels = s["reference"], s["encoder"], s["force"], STEP
+    law, shown = fit_laws(*channels, Gains(POSITION_GAIN, VELOCITY_GAIN))
+    assert shown is not None
+    assert shown.found.velocity == pytest.approx(VELOCITY_GAIN, rel=0.01)
+    assert unlogged_command(law, *channels)[1] == ()
+    wrong = replace(law, whole=law.whole * np.where(np.isin(np.arange(17), range(1, 5)), 0.5, 1.0))
+    monkeypatch.setattr("smfe.diagnosis.drive.control_law.fit_control_law", lambda *_: wrong)
+    other = fit_laws(*channels, Gains(POSITION_GAIN, VELOCITY_GAIN))[0]
+    assert len(unlogged_command(replace(wrong, noise=law.noise), *channels)[1]) > 3
+    assert unlogged_command(other, *channels)[1] == ()
+
+
+def test_noise_does_not_break_up_a_command_that_was_not_logged() -> None:
+    """Pulses of twelve standard deviations: fifteen, not the hundreds of pieces in which ten are exceeded."""
+    rng, n = np.random.default_rng(0), 15_000
+    taps = np.zeros(17)
+    taps[0], taps[1] = VELOCITY_GAIN * POSITION_GAIN, -VELOCITY_GAIN
+    law = ControlLaw(Gains(POSITION_GAIN, VELOCITY_GAIN), np.array([1.0, 0.0, 0.0, 0.0]), 1.0, taps)
+    r = 0.01 * np.sin(2.0 * np.pi * 0.5 * STEP * np.arange(n))
+    q = r - 1e-6 * np.gradient(r, STEP)
+    force = law.command(r, q, STEP) + rng.standard_normal(n) + 12.0 * (np.arange(n) % 1000 >= 940)
+    found = unlogged_command(law, r, q, force, STEP, 0.0)[1]
+    assert len(found) == 15
+    assert [p.height for p in found] == pytest.approx([12.0] * 15, rel=0.05)
+
+
 def test_a_wave_is_held_against_what_the_band_passes_of_it() -> None:
     """Slow moves show a ripple, fast ones next to nothing: noise there must not speak against it."""
     rng, turns = np.random.default_rng(0), np.where(np.arange(6000) % 600 < 120, 0.1, 0.4)
@@ -363,7 +392,7 @@ def test_a_ripple_beyond_the_band_counts_by_its_force() -> None:
 def test_a_delay_counts_by_the_force_that_comes_late_in_any_band() -> None:
     """Force that comes 2 ms late differs most where the axis gathers speed, of which a narrow band has little.
 
-    A trapezoid of 1.2 m/s2 over 12 ms: M jerk dt. Its size is that of the difference, whatever the band.
+    Its size is that of the whole difference over the force in the band: a narrow band makes it look no smaller.
     """
     sizes = []
     for cutoff in (10.0, 40.0):
@@ -378,7 +407,7 @@ def test_a_delay_counts_by_the_force_that_comes_late_in_any_band() -> None:
             whole += square
         sizes.append(np.sqrt(worth / whole))
         assert made.squared_change(moving[0], null, null, np.zeros_like(moving[0].observed)) == 0.0
-    assert sizes[0] == pytest.approx(sizes[1], rel=0.2)
+    assert sizes[0] > 0.95 * sizes[1]
 
 
 def test_a_lead_is_found_at_speeds_of_which_the_band_has_nothing() -> None:
