@@ -15,6 +15,7 @@ import smfe
 from process.errors import InputError
 from smfe.commands.many.folders import find
 from smfe.commands.many.places import fetched, packed, source_of, unpack_into
+from smfe.commands.many.run import Batch
 
 
 @pytest.fixture
@@ -119,20 +120,29 @@ if __name__ == "__main__":
 """
 
 
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Batch]:
+    """An archive, and what one process makes of it."""
+    folder = tmp_path_factory.mktemp("alone")
+    write_archive(folder / "in", 5, 2, tests=1)
+    return folder / "in", smfe.run([folder / "in"], folder / "one", jobs=1)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", ["seen", "not seen"])
-def test_a_cluster_gives_the_same_catalogue_also_where_a_worker_is_killed(workers: str, tmp_path: Path) -> None:
+def test_a_cluster_gives_the_same_catalogue_also_where_a_worker_is_killed(
+    workers: str, alone: tuple[Path, Batch], tmp_path: Path
+) -> None:
     """With "not seen" the workers return their results; with "seen" they write them, and one is killed on the way."""
-    write_archive(tmp_path / "in", 5, 2, tests=1)
-    alone = smfe.run([tmp_path / "in"], tmp_path / "one", jobs=1)
+    archive, batch = alone
     (tmp_path / "script.py").write_text(CLUSTER)
-    command = [sys.executable, "script.py", str(tmp_path / "in"), str(tmp_path / "two"), workers]
+    command = [sys.executable, "script.py", str(archive), str(tmp_path / "two"), workers]
     done = subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True)
     states, killed = json.loads(done.stdout.splitlines()[-1])
-    assert states == alone.states
+    assert states == batch.states
     assert killed == (workers == "seen")
-    assert (tmp_path / "two" / "catalogue.parquet").read_bytes() == alone.catalogue.read_bytes()
-    assert smfe.run([tmp_path / "in"], tmp_path / "two", jobs=1).unchanged == 5
+    assert (tmp_path / "two" / "catalogue.parquet").read_bytes() == batch.catalogue.read_bytes()
+    assert smfe.run([archive], tmp_path / "two", jobs=1).unchanged == 5
 
 
 def test_a_cluster_that_is_not_there_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
