@@ -1,6 +1,7 @@
 """The demonstration tells its story: friction that holds an axis at rest, contradicted lobes, a sweep that is right."""
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from kept import kept
+from places import CHECKOUT
 from samples.demonstration import full_demo
 
 import smfe
@@ -120,6 +122,26 @@ def test_the_simulation_that_is_told_of_is_the_one_that_was_declared(demo: Path)
     for name, value in finding["values_before"].items():
         near = {g["name"]: g["given"] for g in finding["given"] if g["name"] in ("moving_mass", "tip_mass")}
         assert value == near.get(name, value)
+
+
+NUMBER = re.compile(r"\d+(?:\.\d+)?")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("demo", [DEMO_SEED], indirect=True)
+def test_the_documentation_quotes_what_the_demonstration_says(demo: Path) -> None:
+    """The words of docs/diagnosis.md are those of the finding; another machine's rounding may move a number by 5 %."""
+    finding = json.loads((demo / "results" / "finding.json").read_text())
+    said = " ".join(p["text"] for p in finding["passages"])
+    page = (CHECKOUT / "docs" / "diagnosis.md").read_text(encoding="utf-8")
+    quoted = next(b for b in page.split("\n\n") if b.startswith("> The simulation leaves out"))
+    for paragraph in quoted.removeprefix("> ").split("\n>\n> "):
+        words = NUMBER.sub("#", paragraph.replace("\n> ", " ")).removesuffix(" ...")
+        at = NUMBER.sub("#", said).find(words)
+        assert at >= 0, words
+        begin = NUMBER.sub("#", said)[:at].count("#")
+        numbers = [float(n) for n in NUMBER.findall(paragraph)]
+        assert [float(n) for n in NUMBER.findall(said)][begin:][: len(numbers)] == pytest.approx(numbers, rel=0.05)
 
 
 @pytest.mark.slow

@@ -165,11 +165,12 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
         "stiffness": float(rng.choice([0.02, 0.05])),
     }
     sigma = float(rng.choice([0.03, 0.05, 0.1]))
-    if set(hidden) & set(EFFECTS):
-        # Known well enough that an effect can be told. Coefficients within 10 % and damping within 20 % leave limits
-        # within 22 %: a coupling that changes them by 13 % is then at 1.9 standard deviations by Fisher's information
-        # of eight limits, whoever judges it. At 5 % each coefficients 35 % off are at five, one more or less by what
-        # they really are: one of twenty below those 3.3 at which a healthy machine is one of a thousand.
+    if set(hidden) & set(EFFECTS) or (not hidden and rng.random() < 0.5):
+        # Known well enough that an effect can be told, and as often where there is none. Coefficients within 10 % and
+        # damping within 20 % leave limits within 22 %: a coupling that changes them by 13 % is then at 1.9 standard
+        # deviations by Fisher's information of eight limits, whoever judges it. At 5 % each coefficients 35 % off are
+        # at five, one more or less by what they really are: one of twenty below those 3.3 at which a healthy machine
+        # is one of a thousand.
         spread, sigma = {"frequency": 0.005, "damping": 0.05, "stiffness": 0.02}, 0.03
     if "micro_slip" in hidden:  # its level is the feed: at one feed a joint is a mode that is softer than identified
         known = replace(known, feeds=(1e-4, 2.5e-4))

@@ -546,7 +546,7 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
         "damping": 0.2,
         "stiffness": float(rng.choice([0.05, 0.1])),
     }
-    if "force_gain" in hidden:
+    if "force_gain" in hidden or (not hidden and rng.random() < 0.25):
         uncertain["stiffness"] = KNOWN_FOR_FORCE
     if any(name in OF_A_SPRING for name in hidden):
         shop = leading(shop, plan, cut)
