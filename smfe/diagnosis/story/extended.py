@@ -12,7 +12,7 @@ import os
 import tomllib
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -167,7 +167,7 @@ def _write_axis(draft: _Draft, campaign: Campaign, family: MachineFrfs, values: 
         "damping": _text(found.damping, "N s/m"),
         "friction": _friction(found.friction),
     }
-    as_set = replace(baseline, period=None).effective({**values, "period": 0.0}, {}, 0.0).servos
+    as_set = baseline.effective({**values, "period": 0.0}, {}, 0.0).servos
     # The period of the samples stands beside the gains that are set; a servo without samples has those that act.
     told, acts = (
         {

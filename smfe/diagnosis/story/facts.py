@@ -54,7 +54,8 @@ def _of_servos(family: MachineFrfs, values: Values) -> Iterator[tuple[str, str]]
     baseline = family.baseline
     if not baseline.servos:
         return
-    found = baseline.effective(values, {}, 0.0).servos
+    # As they are set, not as the samples of the control make them act.
+    found = baseline.effective({**values, "period": 0.0}, {}, 0.0).servos
     gains, delays = [], []
     for (name, given), servo in zip(baseline.servos.items(), found, strict=True):
         of = f" of {name}" if len(found) > 1 else ""
