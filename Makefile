@@ -18,6 +18,7 @@ BIN = $(VENV)/bin
 UV_INSTALL = $(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --compile-bytecode
 
 # What the tests run with: one BLAS thread (many small matrices), no display, and public data where it lies beside us.
+# Bytecode is kept whatever the shell says: without it each worker and each process compiles all tests and smfe anew.
 RUN = OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONTWRITEBYTECODE=
 ifeq ($(INSTALL),wheel)
 RUN += SMFE_TEST_WHEEL=1

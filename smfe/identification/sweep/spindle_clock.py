@@ -387,18 +387,17 @@ def local_ratios(
     """Return middle [turns], ratio and weight between successive windows, from the phases of the orders."""
     hop = turns // 4
     pieces = windows(force, cells, turns, hop)
-    shape, place = hann(turns * cells), np.arange(turns * cells) / cells
+    shaped, place = pieces * hann(turns * cells), np.arange(turns * cells) / cells
     starts = hop * np.arange(pieces.shape[1])
     for limit in (float(orders.min()), float(orders.max())):
         # The lowest order first: its phase does not come round.
         used = orders[orders <= max(limit, float(orders.min()))]
-        drift, weight = np.zeros(starts.size - 1), np.full(starts.size - 1, 1e-300)
-        for k in used:
-            line = (pieces * shape) @ np.exp(-2j * np.pi * k * ratio * place)
-            line = line * np.exp(-2j * np.pi * k * ratio * starts)
-            between = np.sum(line[:, 1:] * line[:, :-1].conj(), axis=0)
-            drift += k * np.abs(between) * np.angle(between)
-            weight += k**2 * np.abs(between)
+        wave = np.exp(-2j * np.pi * ratio * np.outer(place, used))
+        lines = shaped @ wave.real + 1j * (shaped @ wave.imag)  # real products: half the time of complex ones
+        lines *= np.exp(-2j * np.pi * ratio * np.outer(starts, used))
+        between = np.sum(lines[:, 1:] * lines[:, :-1].conj(), axis=0)
+        drift = np.abs(between) * np.angle(between) @ used
+        weight = np.maximum(np.abs(between) @ used**2, 1e-300)
         local = ratio + drift / weight / (2.0 * np.pi * hop)
         ratio = float(np.sum(weight * local) / np.sum(weight))
     return np.asarray(starts[:-1] + 0.5 * (turns + hop), dtype=float), np.asarray(local), np.asarray(weight)
