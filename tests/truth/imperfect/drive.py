@@ -327,7 +327,7 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
             after = logged(was, name, s, now).shown(told, t)
             if name == "force_gain":  # the stated mass gives it away
                 return abs(s)
-            return _unexplained(after - before, now, t) / float(np.std(before))
+            return _unexplained(after - before, now, t) / float(np.std(before[_moving(now, t)]))
 
         first = what.size * (signs[name] if what.signed else 1.0)
         if name == "friction" and len(hidden) > 1:
@@ -345,12 +345,22 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
 
 
 def _unexplained(change: Real, d: Drawn, t: Real) -> float:
-    """Root mean square of what a change of the force leaves when mass, viscous and sliding friction are fitted anew."""
+    """Root mean square of what a change of the force leaves when mass, viscous and sliding friction are fitted anew.
+
+    While the axis moves: at rest the force is whatever the control holds, and no property of the axis.
+    """
     v = np.gradient(d.target[: t.size], d.axis.cycle)
     push = np.gradient(np.convolve(v, np.ones(20) / 20, mode="same"), d.axis.cycle)
     columns = [push, v, np.ones(t.size)] + ([np.tanh(v / 1e-3)] if d.axis.coulomb > 0.0 else [])
-    base = np.column_stack(columns)
+    moving = _moving(d, t)
+    base, change = np.column_stack(columns)[moving], change[moving]
     return float(np.std(change - base @ np.linalg.lstsq(base, change, rcond=None)[0]))
+
+
+def _moving(d: Drawn, t: Real) -> Real:
+    """Return which samples are those of a move."""
+    v = np.abs(np.gradient(d.target[: t.size], d.axis.cycle))
+    return np.asarray(v > 1e-2 * v.max())
 
 
 def _truths(hidden: tuple[str, ...], d: Drawn) -> dict[str, float]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smfe.campaign import load_campaign
-from truth.imperfect import axis, modal
+from truth.imperfect import axis, drive, modal
 from truth.imperfect.bench import MATERIAL
 from truth.imperfect.families import FAMILIES, draw, hidden_of
 
@@ -90,3 +90,14 @@ def test_a_word_stands_for_effects_of_the_family() -> None:
         assert set(hidden_of(family, 5, "outside")) <= set(module.OUTSIDE)
         with pytest.raises(ValueError, match="has no effect 'ghosts'"):
             hidden_of(family, 5, "ghosts")
+
+
+def test_what_a_control_holds_at_rest_costs_nothing() -> None:
+    """Half of what Stribeck friction seemed to cost was force of an axis that stands, which nothing predicts."""
+    d = drive.drawn(np.random.default_rng(0))
+    t = np.arange(d.target.size) * d.axis.cycle
+    moving = drive._moving(d, t)
+    assert 0.3 < np.mean(moving) < 0.98
+    noise = np.random.default_rng(1).standard_normal(t.size)
+    assert drive._unexplained(np.where(moving, 0.0, noise), d, t) == pytest.approx(0.0, abs=1e-9)
+    assert drive._unexplained(np.where(moving, noise, 0.0), d, t) == pytest.approx(1.0, rel=0.05)
