@@ -20,7 +20,8 @@ from truth.imperfect.bench import Answer, Hiding, Real
 EFFECTS = {
     "friction": Hiding(0.05, "of the largest force", ("guideway_friction",)),
     "stribeck": Hiding(0.03, "of the largest force", ("low_speed_friction",)),
-    "sticking": Hiding(0.4, "over sliding", ("low_speed_friction", "guideway_friction")),
+    # Of a size that guideways have: it holds the axis at rest, and in motion it is little beside the sliding friction.
+    "sticking": Hiding(0.4, "over sliding", ("low_speed_friction", "guideway_friction"), switch=True),
     "asymmetry": Hiding(0.1, "of the viscous friction", ("friction_asymmetry",), True),
     "delay": Hiding(0.25e-3, "s", ("loop_delay",)),
     "ripple": Hiding(0.02, "of the largest force", ("position_ripple",)),
