@@ -30,7 +30,7 @@ from smfe.diagnosis.frf.causes import sensor_causes
 from smfe.diagnosis.frf.noise import Excited, excited_of, kept, scatter_of, smooth_errors
 from smfe.diagnosis.frf.rules import RULES
 from smfe.diagnosis.frf.workshop import errors_along_axis
-from smfe.diagnosis.inference.fit import Target, plausibly
+from smfe.diagnosis.inference.fit import Target, plausibly, residuals
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
@@ -285,26 +285,37 @@ def as_hit(family: MachineFrfs, discrepancy: float, values: Values | None = None
     smoothly by the relative `discrepancy` (rms).
     """
     if values is None:
-        first = _plausible_values(family)
-        values = _plausible_values(as_hit(family, discrepancy, first), first)
+        # Friction of another level than is declared would be made the declared one by other pulls.
+        levels = (False, True) if "coulomb" in family.baseline.known else (False,)
+        every = [_put_right(family, discrepancy, n) for n in levels]
+        values = min(every, key=lambda tried: tried[0])[1]
     found = tuple(_of_mean_hit(family, c, values, discrepancy) for c in family.conditions)
     return replace(family, conditions=found, measured=family.conditions, discrepancy=discrepancy)
 
 
-def _plausible_values(family: MachineFrfs, known: Values | None = None) -> Values:
-    """Return values that data move plausibly, with the level of friction free, or where it is `known` already.
+def _put_right(family: MachineFrfs, discrepancy: float, free: bool) -> tuple[float, Values]:
+    """Return what plausible values leave of hits that were put right with such values, per value, and these.
 
-    Friction of another level than is declared would be made the declared one by other pulls. What was put right with a
-    level has no say in it: it would lead away step by step.
+    The level of friction is `free` before: what was put right with a level has no say in it, and would lead away step
+    by step.
     """
+    _, first = _plausible_values(family, free)
+    return _plausible_values(as_hit(family, discrepancy, first), False, first)
+
+
+def _plausible_values(family: MachineFrfs, free: bool, known: Values | None = None) -> tuple[float, Values]:
+    """Return what values leave that data move plausibly, and these, with the level of friction free or `known`."""
     model = Model(family, family.conditions)
     data = {r: np.asarray(c.observed) for r, c in enumerate(family.conditions) if c.observed is not None}
     level = [k for k, c in enumerate(model.causes) if c.key == "guideway_friction/level"]
     target = Target(data, model.null())
-    if known is None:
-        return model.values(plausibly(model, target, level))
-    start = model.scaled({p.name: known[p.name] for k in level for p in model.causes[k].parameters})
-    return model.values(plausibly(model, target, start=start))
+    start = model.scaled(
+        {p.name: (known or {}).get(p.name, p.start) for k in level for p in model.causes[k].parameters}
+    )
+    u = plausibly(model, target, level if free else (), start)
+    found = residuals(model, target, u)
+    left = np.inf if found is None else sum(float(x @ x) for x in found.values()) / sum(y.size for y in data.values())
+    return left, model.values(u)
 
 
 def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, discrepancy: float) -> Condition:
