@@ -320,7 +320,7 @@ def effect(name: str | None, ram: Ram, rng: np.random.Generator, size: float = 1
         "force_gain": {"gain": {"force": 0.05 * sign * size}},
         "exchanged": {"exchanged": plane},
         "reversed": {"reversed": axis},
-        "turned": {"turned": math.radians(3.0) * sign * size},
+        "turned": {"turned": math.radians(5.0) * sign * size},
         "skew": {"skew": 50e-6 * sign * size},
         "cable": {"cable": 1.5 * size},
         "dashpot": {"dashpot": 2500.0 * size},
