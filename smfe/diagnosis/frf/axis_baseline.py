@@ -137,7 +137,7 @@ class AxisBaseline:
             found.append(Parameter("extra_delay", "ms", 0.0, 1e-4, least, 5e-3, *known))
             # Nobody declares the period of its samples: it is a part of the dead time, which holds one at least.
             if self.period is None:
-                period = (RULES.period[0] * shortest, 0.1 * shortest, 0.0, shortest, RULES.period[1] * shortest)
+                period = (0.0, 0.1 * shortest, 0.0, shortest, RULES.period * shortest)
                 found.append(Parameter("period", "ms", *period, 1e3, said="period of the control's samples"))
         said = "gain of the acceleration over the force"
         # Force sensor and accelerometer are calibrated one by one.

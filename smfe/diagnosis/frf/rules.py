@@ -46,9 +46,9 @@ class FrfRules:
     contact_time: float = 4e-3  # of the hit on a linear machine, whose compliance does not depend on it [s]
     block: int = 64  # samples that are transformed at once
     rest: float = 1e-7  # of a machine after a hit, next to its largest: a tenth of what the step costs in a hit of 25 N
-    period: tuple[float, float] = (0.5, 0.3)
-    """Of the samples of a control over its dead time, and its standard deviation: the time between two readings for the
-    velocity, the hold and the computation are whole and half periods, besides what has nothing to do with them."""
+    period: float = 0.58
+    """Standard deviation, about none, of the period of a control's samples over its dead time: that of what lies evenly
+    between none and all of it. The gains of some controls are what acts, of others what a computer multiplies by."""
     shaken_loose: float = 0.15
     """Relative standard deviation of the force at which a guideway lets go, where hits before have shaken it loose."""
     well: float = 20.0  # squares over the noise of a line that hits at rest may leave without their own stiffness

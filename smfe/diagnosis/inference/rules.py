@@ -101,6 +101,9 @@ class InferenceRules:
     collinear: float = 0.95  # cosine of two signatures above which they count as one
     # what was declared, and what matters
     contradicted: float = 0.001  # p-value of a pull beyond what was declared: 3.3 standard deviations
+    delivered: float = 0.1
+    """Least share of a likelihood ratio promised to first order that a fit must give: where a model may miss something
+    the ratio counts less noise than a fit does, a quarter at the least, and what is curved takes some more."""
     beyond: float = 3.3  # the same in standard deviations, of one parameter
     told: float = 5.0  # z against the data alone from which what was declared without uncertainty counts
     unstated: float = 2.0  # times what is material that such a difference must be worth

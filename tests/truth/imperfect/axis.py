@@ -240,7 +240,7 @@ def told(b: Bench, plan: list[Visit], name: str) -> float:
             0.5,
         ),
         by(lambda x: of_truth(control=replace(t.control, extra=t.control.extra + x * late)), 1e-4 / late),
-        by(sampled, 0.3),
+        by(sampled, math.sqrt(1.0 / 3.0)),
         by(lambda x: replace(b, skew=b.skew + 1e-2 * x), 2e-3),
     ]
     for which in {v.controller for v in plan}:

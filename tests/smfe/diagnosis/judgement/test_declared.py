@@ -252,6 +252,17 @@ class Carried(Scaled):
         return 100.0 * ((1.0 + values["first"] - mass) * SHAPES[0] + (1.0 + values["second"] - 2.0 * mass) * SHAPES[1])
 
 
+def test_what_only_slopes_promise_convicts_no_declared_value(monkeypatch):
+    """A release whose fit gains a hundredth of what it promised to first order has shown nothing."""
+    family = measured({"coefficients": 0.35})
+    assert diagnose(family, worth=WORTH).verdict == "named"
+    true = judgement._contradicted
+    monkeypatch.setattr(judgement, "_contradicted", lambda *a: [replace(r, ratio=100.0 * r.ratio) for r in true(*a)])
+    found = diagnose(family, worth=WORTH)
+    assert found.verdict != "named"
+    assert not found.causes
+
+
 def test_one_cause_that_does_what_several_wrong_values_do_is_named_in_their_place():
     """In every condition alike: none left out tests the cause, nor the values."""
     assert ids(diagnose(measured({"mass": 0.06}, kind=Carried), worth=WORTH)) == {"mass": None}
