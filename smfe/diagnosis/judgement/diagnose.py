@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 from threadpoolctl import threadpool_limits
 
 from process.errors import InputError
@@ -155,19 +156,30 @@ def _one_by_one(
 ) -> tuple[list[Released], Bench]:
     """Return what is contradicted where each is fitted anew before the next is looked at, and its hypotheses.
 
-    To first order a large value leaves its square to others: a sensor turned by 22 degrees shows 7 % less.
+    To first order a large value leaves its square to others: a sensor turned by 22 degrees shows 7 % less. What came
+    first may have stood in for what came after it, and is taken back where it then fits as it was declared.
     """
+
+    def fitted(released: Sequence[Released]) -> tuple[Bench, Fit]:
+        again = prepared(released)
+        return again, again.extend(again.null(), at.causes) if at.causes else again.null()
+
     kept = declared[:1]
     while len(declared) > 1:
-        again = prepared(kept)
-        found = again.extend(again.null(), at.causes) if at.causes else again.null()
+        again, found = fitted(kept)
         if not found.converged:
             break
         known = {g for r in kept for g in r.given}
         more = [r for r in _contradicted(again, found, worth) if r.given[0] not in known]
-        if not more:
-            return kept, again
-        kept = [*kept, more[0]]
+        if more:
+            kept = [*kept, more[0]]
+            continue
+        for r in kept[:-1]:
+            fewer = [x for x in kept if x is not r]
+            without, as_given = fitted(fewer)
+            if as_given.chi2 - found.chi2 < stats.chi2.isf(RULES.contradicted, len(r.values[0])):
+                kept, again = fewer, without
+        return kept, again
     return declared, prepared(declared)
 
 

@@ -10,7 +10,7 @@ from smfe.diagnosis.inference.fit import Target, fit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 from smfe.diagnosis.judgement import diagnose as judgement
-from smfe.diagnosis.judgement.declared import Declared, contradicted
+from smfe.diagnosis.judgement.declared import Declared, Released, contradicted
 from smfe.diagnosis.judgement.diagnose import diagnose
 from smfe.diagnosis.judgement.materiality import Worth, predicted_size
 
@@ -238,6 +238,20 @@ def test_a_sensor_that_is_turned_far_has_no_wrong_gain_for_the_cosine_of_its_ang
     """By 22 degrees it shows 7 % less, which no straight line in the angle does."""
     found = diagnose(measured({"angle": 0.38, "gain": gain}, kind=Turned), worth=WORTH)
     assert (found.verdict, set(ids(found))) == ("named", wrong)
+
+
+def test_what_stood_in_for_another_value_is_taken_back_once_that_is_found(monkeypatch):
+    """The gain comes first and is right: with the coefficients released it fits as it was declared."""
+    true = judgement._contradicted
+
+    def gain_first(bench, at, worth):
+        found = true(bench, at, worth)
+        gain = Released(("sensor_gain",), 50.0, ({1: 0.35},), ({1: 0.01},))
+        return [gain, *found] if bench.model.weight[1] > 0.0 and len(found) == 1 else found
+
+    monkeypatch.setattr(judgement, "_contradicted", gain_first)
+    found = diagnose(measured({"coefficients": 0.35}, reference=True), worth=WORTH)
+    assert (found.verdict, set(ids(found))) == ("named", {"force_coefficients"})
 
 
 @dataclass(frozen=True)
