@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import ClassVar, NamedTuple
@@ -356,11 +356,11 @@ def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, disc
         # A friction that differs between the directions does at rest what a pull does that all hits found.
         alike = (machine.compliance(excited, sign * RULES.pull * held) for sign in (1.0, -1.0))
         rows += [x[None] - machine.compliance(excited)[None] for x in alike]
-    if found.contact > 0.0:
-        rows += [
-            family.simulated(other).compliance(excited)[None] - machine.compliance(excited)[None]
-            for other in _otherwise(found, feed)
-        ]
+        # It lets go sooner where hits before have shaken it loose.
+        part = 1.0 - RULES.shaken_loose
+        forth, back = (s._replace(coulomb=part * s.coulomb, static=part * s.static) for s in found.friction)
+        loose = family.simulated(found._replace(friction=(forth, back))).compliance(excited)
+        rows.append(loose[None] - machine.compliance(excited)[None])
     corrected = replace(excited, shared=np.concatenate(rows))
     return replace(condition, data=corrected, observed=corrected.whitened(mean - more))
 
@@ -394,24 +394,6 @@ def _local_stiffness(
         best = min(tried, key=lambda x: tried[x])
         tried |= {x: left(x) for x in (best - apart, best + apart)}
     return min(tried, key=lambda x: tried[x]) * found.stiffness
-
-
-def _otherwise(found: Effective, feed: float) -> Iterator[Effective]:
-    """Yield an axis whose guideway is otherwise by as much as its Stribeck curve and one contact leave open.
-
-    Before it slides, and where vibration turns it round, its contacts slip one after the other: it gives way by more,
-    and loses more, the harder it is hit, and laws with the same curve differ in that. At rest it lets go sooner where
-    it has been shaken loose.
-    """
-    yield found._replace(contact=(1.0 + RULES.contact_apart) * found.contact)
-    yield found._replace(contact_loss=found.contact_loss + RULES.contact_loses)
-    if feed == 0.0:
-        part = 1.0 - RULES.shaken_loose
-        forth, back = (s._replace(coulomb=part * s.coulomb, static=part * s.static) for s in found.friction)
-        yield found._replace(friction=(forth, back))
-    else:
-        sliding = found.friction[0 if feed > 0.0 else 1]
-        yield found._replace(friction=(sliding, sliding), one_by_one=True)
 
 
 class State(NamedTuple):

@@ -17,7 +17,7 @@ import numpy as np
 
 from process.drive.axis import Drive
 from process.drive.servo import Servo
-from process.friction.laws import FrictionLaw, GeneralisedMaxwellSlip, LuGre, MemoryLaw, Viscous
+from process.friction.laws import FrictionLaw, LuGre, Viscous
 from process.machine.joints import CubicSpring, Gap, Iwan
 from process.machine.machine import FeedAxis, Machine, MountedJoint
 from process.machine.structure import two_mass_axes
@@ -68,8 +68,6 @@ class Effective(NamedTuple):
     gap: tuple[float, float]
     cubic: float
     contact: float  # compliance of the guideway that sticks [m/N]; 0 without dry friction
-    contact_loss: float = RULES.contact_loss  # its damping over its stiffness [s]
-    one_by_one: bool = False  # its contacts slip one after the other (Maxwell slip); else it has one bristle (LuGre)
 
 
 def acting(servo: Servo, period: float) -> Servo:
@@ -241,26 +239,15 @@ class AxisBaseline:
             joints.append(MountedJoint(Gap(part * k, gap), across))
         if found.cubic != 0.0:
             joints.append(MountedJoint(CubicSpring(0.0, found.cubic), across))
-        law: FrictionLaw | MemoryLaw = Viscous(found.friction[0].viscous)
+        law: FrictionLaw | LuGre = Viscous(found.friction[0].viscous)
         if max(side.static for side in found.friction) > 0.0:
-            stiff, loss = 1.0 / found.contact, found.contact_loss / found.contact
+            stiff, loss = 1.0 / found.contact, RULES.contact_loss / found.contact
             forth, back = (
                 LuGre(stiff, loss, max(s.coulomb, 1e-6), max(s.static, s.coulomb, 1e-6), s.speed or 1.0, s.viscous)
                 for s in found.friction
             )
             law = replace(forth, negative=back)
-            if found.one_by_one:
-                law = _slipping(forth)
         linear = k * max(1.0 - share - part, 1e-6)
         structure = two_mass_axes({self.axis: Drive(*found.masses, linear, found.damping)})
         servos = dict(zip(self.servos, found.servos, strict=True))
         return Machine(structure, {self.axis: FeedAxis(servos or None, law)}, joints)
-
-
-def _slipping(law: LuGre) -> GeneralisedMaxwellSlip:
-    """Return the law with the same curve and contact whose contacts slip one after the other, the stiffest first."""
-    part = np.arange(RULES.contacts, 0.0, -1.0)
-    stiff = law.bristle_stiffness * part / part.sum()
-    share = (1.0 / RULES.contacts,) * RULES.contacts
-    curve = (law.coulomb, law.static, law.stribeck_speed, law.sigma)
-    return GeneralisedMaxwellSlip(tuple(stiff.tolist()), share, *curve, law.static / RULES.relaxes)

@@ -64,12 +64,6 @@ class FrfRules:
     )
     contact_spread: float = 10.0  # prior standard deviation of it, over itself: guideways differ by factors
     contact_loss: float = 1.2e-4  # its damping over its stiffness [s]
-    contacts: int = 4  # of a guideway whose contacts slip one after the other
-    relaxes: float = 5e-4  # time in which those that slip come to the Stribeck curve [s]
-    contact_apart: float = 0.5  # relative standard deviation by which it differs with the level
-    contact_loses: float = 5e-4
-    """Standard deviation of what it loses besides, as its contacts slip one after the other [s]: at 60 Hz a loss factor
-    of 0.2."""
     elements: int = 20  # Jenkins elements of a joint with micro-slip
     predictions_kept: int = 20000  # compliances that a family keeps
     modal_kept: int = 4000  # the same of a modal machine, whose compliances are closed form

@@ -246,15 +246,6 @@ def test_at_rest_friction_that_differs_between_the_directions_does_mostly_what_a
     assert effects[1] < 0.5 * effects[0]
 
 
-def test_a_guideway_whose_contacts_slip_one_by_one_has_the_same_curve_and_contact():
-    found = baseline()
-    one = found.effective(values_of(MachineFrfs(found, (nominal(),))), {}, MOVING)
-    bristle, slipping = (found.machine(one._replace(one_by_one=x)).axes["x"].friction for x in (False, True))
-    assert slipping.stiffness == pytest.approx(bristle.stiffness)
-    for speed in (0.1 * MOVING, MOVING, 4.0 * MOVING):
-        assert slipping.steady_force(speed) == pytest.approx(bristle.steady_force(speed))
-
-
 def test_the_samples_of_a_control_make_its_gains_act_as_larger_ones_by_as_much_as_a_dead_time_leaves_open():
     """By up to 6 % where nobody says how often it samples: what a gain of a sensor 6 % off would look like."""
     servo, period = Servo(10590.0, 6.5e-3, 76.9, 0.75e-3), 0.5e-3
