@@ -75,7 +75,8 @@ def test_friction_is_named_with_its_gain_on_the_measurement_set_aside(demo: Path
     assert finding["verdict"] == "named"
     (cause,) = finding["causes"]
     assert cause["id"] == "guideway_friction"
-    assert cause["gain_db"] > 6.0  # what is asked of any cause: of blocks of values, the hits at rest being the only ones that show it
+    # What is asked of any cause: of blocks of values, the hits at rest being the only ones that show it.
+    assert cause["gain_db"] > 6.0
     (apart,) = [e for e in finding["errors"] if e["tested"] == "set aside"]
     assert apart["count"] == 1
     assert 20.0 * np.log10(apart["before"] / apart["after"]) > 20.0
