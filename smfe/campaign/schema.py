@@ -322,7 +322,14 @@ class AxisBaseline(Table):
             raise InputError(
                 "needs Kp, Ti and Kv of its servo, or controllers = { K2 = { Kp = ..., Ti = ..., Kv = ... } }; give one"
             )
-        self.servos()
+        for servo in self.servos().values():
+            # Its samples act on the gains by T/(2 Ti) and Kv T/2 to first order.
+            longest = min(servo.Ti, 1.0 / servo.Kv)
+            if self.period is not None and self.period >= longest:
+                raise InputError(
+                    f"period of {1e3 * self.period:g} ms between samples of a control with Ti = {1e3 * servo.Ti:g} ms "
+                    f"and Kv = {servo.Kv:g} 1/s; it must be shorter than {1e3 * longest:g} ms: check its unit"
+                )
         self.friction.build()
         return self
 

@@ -46,6 +46,9 @@ MEASURED = frozenset({"sensor_gain", "sensor_axis", "sensor_offset", "time_skew"
 IMPOSSIBLE = "the data contradict what was declared, but {} ends on the limit of what is physical"
 """Why the best fit is no explanation."""
 
+UNFITTED = "the data contradict what was declared, and no fit with other values converged"
+"""Why what slopes alone promise is none."""
+
 
 def diagnose(
     family: Family,
@@ -131,6 +134,8 @@ def diagnose(
                     steps = [replace(s, accepted=True, reason="") if s is other else s for s in steps]
                 else:
                     bench, at, steps = again, found, [*(s for s in steps if s.accepted), *more]
+            else:
+                objection, declared = UNFITTED, []
         elif at.causes and (declared := _contradicted(bench, bench.null(), worth)):
             # What was declared wrongly may do what the causes found do, with fewer parameters.
             again, _ = _prepared(family, conditions, seed, progress, held_out, helpers, worth, declared)

@@ -54,6 +54,10 @@ class TestBaseline:
             ("", "needs Kp, Ti and Kv of its servo, or controllers"),
             ("Kp = '6268 N s/m'\n", "needs Kp, Ti and Kv of its servo, or controllers"),
             ("Kp = '-1 N s/m'\nTi = '10.9 ms'\nKv = '45.5 1/s'\n", "'-1 N s/m'"),
+            (
+                "Kp = '6268 N s/m'\nTi = '10.9 ms'\nKv = '45.5 1/s'\nperiod = '4 s'\n",
+                "period of 4000 ms between samples of a control with Ti = 10.9 ms",
+            ),
         ],
     )
     def test_a_servo_that_is_none(self, tmp_path: Path, text: str, said: str) -> None:

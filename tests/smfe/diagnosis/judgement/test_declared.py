@@ -240,6 +240,22 @@ def test_a_sensor_that_is_turned_far_has_no_wrong_gain_for_the_cosine_of_its_ang
     assert (found.verdict, set(ids(found))) == ("named", wrong)
 
 
+def test_what_no_fit_with_other_values_shows_convicts_no_declared_value(monkeypatch):
+    """Where the fit with a value released does not end there are slopes alone: neither wrong nor right."""
+    true = judgement._one_by_one
+
+    def unended(*arguments):
+        declared_, again = true(*arguments)
+        again.fits[()] = replace(again.null(), converged=False)
+        return declared_, again
+
+    monkeypatch.setattr(judgement, "_one_by_one", unended)
+    found = diagnose(measured({"coefficients": 0.35}), worth=WORTH)
+    assert found.verdict in ("unknown", "insufficient_data")
+    assert not found.causes
+    assert "no fit with other values converged" in found.reason
+
+
 def test_what_stood_in_for_another_value_is_taken_back_once_that_is_found(monkeypatch):
     """The gain comes first and is right: with the coefficients released it fits as it was declared."""
     true = judgement._contradicted
