@@ -77,6 +77,8 @@ class ControlLaw:
     def _factors(self) -> tuple[float, float, float]:
         """Kp, and the factors of error and of its integral over it."""
         velocity = -float(self.whole[1 : 1 + RULES.taps].sum())
+        if velocity == 0.0:
+            return 0.0, 0.0, 0.0
         both, product = self.whole[0] / velocity, self.whole[1 + RULES.taps] / velocity
         return velocity, float(both), float(product)
 
@@ -139,7 +141,7 @@ def fit_gains(
 ) -> ControlLaw | None:
     """Find the law from what a band-pass leaves of a record, for its gains; away from commands that were not logged.
 
-    None where these leave too little.
+    None where these leave too little, or the record has no samples within what the filter takes out.
 
     The differences of an encoder are noisy, which makes gains look smaller (errors in variables), hum is in the logged
     force alone, and an integral part adds up what two readings of one encoder differ by. The law is linear: it holds
@@ -152,6 +154,8 @@ def fit_gains(
         return values - uniform_filter1d(values, round(RULES.slow_mean / step), axis=0)
 
     reach = round(RULES.slow_mean / step)
+    if reach < 3:
+        return None
     used = np.zeros(position.size, dtype=bool)
     used[reach : position.size - reach : max(round(RULES.gains_every / step), 1)] = True
     for p in pulses:
@@ -178,7 +182,9 @@ def _fitted(columns: Real, force: Real, gains: Gains) -> ControlLaw:
         whole, left = _solved(columns / scale, force, scale, kept, gains)
         scatter = _scatter(columns / scale, left, scale, whole)
         taps = whole[1 : 1 + RULES.taps]
-        law = ControlLaw(gains, taps / taps.sum(), max(_spread(left), floor), whole, scatter)
+        # Of one sine error and encoder say the same, and no velocity gain is told.
+        shape = taps / taps.sum() if taps.sum() else np.eye(RULES.taps)[0]
+        law = ControlLaw(gains, shape, max(_spread(left), floor), whole, scatter)
         found.append((law, float(np.std(left))))
     possible = [x for x in found if x[0].plausible] or found
     least = RULES.better * min(law.noise for law, _ in possible)
@@ -197,7 +203,8 @@ def _scatter(columns: Real, left: Real, scale: Real, whole: Real) -> float:
     sums = (np.isin(np.arange(scale.size), np.arange(1, 1 + RULES.taps)) / scale)[kept]
     square = float(sums @ np.linalg.pinv(own.T @ own, rcond=1e-14, hermitian=True) @ sums)
     alike = RULES.means[0] / RULES.gains_every
-    return float(np.std(left)) * math.sqrt(alike * max(square, 0.0)) / abs(float(whole[1 : 1 + RULES.taps].sum()))
+    velocity = abs(float(whole[1 : 1 + RULES.taps].sum()))
+    return float(np.std(left)) * math.sqrt(alike * max(square, 0.0)) / velocity if velocity > 0.0 else math.inf
 
 
 def _solved(columns: Real, force: Real, scale: Real, rest: NDArray[np.int64], gains: Gains) -> tuple[Real, Real]:

@@ -729,3 +729,14 @@ def test_no_force_is_known_better_than_the_gain_of_its_channel() -> None:
     assert 0.5 * (force.high - force.low) >= 0.0195 * force.value
     # What friction and noise are expected to be moves it by a small part of its 1 %.
     assert finding.values["force_gain.error"] == pytest.approx(0.0, abs=2e-3)
+
+
+@pytest.mark.parametrize("step", [1e-3, 0.1, 2.0])
+def test_a_record_that_says_nothing_of_a_velocity_gain_gives_none(step):
+    """An axis that swings in one sine, or is logged every two seconds: no division by a gain that is not there."""
+    t = np.arange(4000) * step
+    reference, position = (0.1 * np.sin(2.0 * np.pi * (t / step - late) / 200.0) for late in (0.0, 0.8))
+    force = 1000.0 * (reference - position) + np.random.default_rng(0).standard_normal(t.size)
+    law, shown = fit_laws(reference, position, force, step, Gains(50.0, 5e3))
+    assert not law.plausible
+    assert shown is None or not shown.tells(float(np.std(force)))
