@@ -30,6 +30,16 @@ def _integrate(depth, teeth, entry, leave, kt, kr, flank, friction, period, step
     for r in range(m):
         v[r] = 1e-6 * w[r] * (1.0 + 0.3 * r)
     past = np.zeros((steps, 2))
+    # Teeth that are all alike stand alike again a tooth period later: sums of ss, sc and cc over those in the cut.
+    cut = np.zeros((steps, 3))
+    for n in range(steps):
+        for j in range(teeth):
+            phi = (2.0 * math.pi * ((n / steps + j) / teeth)) % (2.0 * math.pi)
+            if entry <= phi < leave:
+                s, c = math.sin(phi), math.cos(phi)
+                cut[n, 0] += s * s
+                cut[n, 1] += s * c
+                cut[n, 2] += c * c
     for n in range(out.shape[0]):
         x, y, vx, vy = 0.0, 0.0, 0.0, 0.0
         for r in range(m):
@@ -41,16 +51,12 @@ def _integrate(depth, teeth, entry, leave, kt, kr, flank, friction, period, step
         slot = n % steps
         dx, dy = x - past[slot, 0], y - past[slot, 1]
         past[slot, 0], past[slot, 1] = x, y
-        fx, fy = 0.0, 0.0
-        for j in range(teeth):
-            phi = (2.0 * math.pi * ((n / steps + j) / teeth)) % (2.0 * math.pi)
-            if entry <= phi < leave:
-                s, c = math.sin(phi), math.cos(phi)
-                chip, into = s * dx + c * dy, s * vx + c * vy
-                along = depth * (kt * chip + friction * flank * into)
-                across = depth * (kr * chip + flank * into)
-                fx += -along * c - across * s
-                fy += along * s - across * c
+        ss, sc, cc = cut[slot, 0], cut[slot, 1], cut[slot, 2]
+        # Along and across the teeth: chip is s dx + c dy, and what goes into the work s vx + c vy.
+        ax, ay = kt * dx + friction * flank * vx, kt * dy + friction * flank * vy
+        bx, by = kr * dx + flank * vx, kr * dy + flank * vy
+        fx = -depth * (ax * sc + ay * cc + bx * ss + by * sc)
+        fy = depth * (ax * ss + ay * sc - bx * sc - by * cc)
         for r in range(m):
             f = gain[r] * (shape[r, 0] * fx + shape[r, 1] * fy)
             half = zeta[r] * w[r] * dt
@@ -122,6 +128,18 @@ class Mill:
 
 def growth(mill: Mill, speed: float, depth: float, section: float = 0.0, waves: float = 60.0) -> tuple[float, float]:
     """Return how a push grows [1/s] and its frequency [Hz] at a spindle speed [rpm] and depth [m]."""
+    late, step, fastest = _late(mill, speed, depth, section, waves)
+    rate = _rate(late, step)
+    level = late * np.exp(-rate * step * np.arange(late.shape[0]))[:, None]
+    length = 8 * late.shape[0]
+    power = np.sum(np.abs(np.fft.rfft(level * np.hanning(late.shape[0])[:, None], length, axis=0)) ** 2, axis=1)
+    lines = np.fft.rfftfreq(length, step)
+    inside = lines < 3.0 * fastest
+    return rate, float(lines[inside][np.argmax(power[inside])])
+
+
+def _late(mill: Mill, speed: float, depth: float, section: float, waves: float) -> tuple[np.ndarray, float, float]:
+    """Return the second half of a motion, its step [s] and the frequency of the fastest mode [Hz]."""
     w, z, gain, u = mill.seen(speed, section)
     period = 60.0 / speed / mill.teeth
     steps = max(STEPS, math.ceil(PER_PERIOD * period * w.max() / (2.0 * math.pi)))
@@ -145,25 +163,27 @@ def growth(mill: Mill, speed: float, depth: float, section: float = 0.0, waves: 
         u,
         out,
     )
-    late = out[periods * steps :]
-    # Size in eight pieces of the second half: its logarithm grows as a line.
-    pieces = np.array_split(late, 8)
-    size = np.log([math.sqrt(float(np.mean(p**2))) + 1e-300 for p in pieces])
-    each = periods * period / 8.0
-    rate = float(np.polyfit(each * np.arange(8), size, 1)[0])
-    level = late * np.exp(-rate * period / steps * np.arange(late.shape[0]))[:, None]
-    length = 8 * late.shape[0]
-    power = np.sum(np.abs(np.fft.rfft(level * np.hanning(late.shape[0])[:, None], length, axis=0)) ** 2, axis=1)
-    lines = np.fft.rfftfreq(length, period / steps)
-    inside = lines < 3.0 * w.max() / (2.0 * math.pi)
-    return rate, float(lines[inside][np.argmax(power[inside])])
+    return out[periods * steps :], period / steps, float(w.max()) / (2.0 * math.pi)
+
+
+def _rate(late: np.ndarray, step: float) -> float:
+    """Size in eight pieces of a motion: its logarithm grows as a line."""
+    size = np.log([math.sqrt(float(np.mean(p**2))) + 1e-300 for p in np.array_split(late, 8)])
+    return float(np.polyfit(late.shape[0] * step / 8.0 * np.arange(8), size, 1)[0])
 
 
 def limit(mill: Mill, speed: float, feed: float = 1e-4, deepest: float = 0.05) -> tuple[float, float]:
     """Return limit depth [m] and chatter frequency [Hz] at a spindle speed [rpm] and feed per tooth [m]."""
+    depth = limit_depth(mill, speed, feed, deepest)
+    return depth, growth(mill, speed, depth, depth * feed)[1] if math.isfinite(depth) else math.nan
+
+
+def limit_depth(mill: Mill, speed: float, feed: float = 1e-4, deepest: float = 0.05) -> float:
+    """Return the limit depth [m] alone: the frequency of a motion takes longer than the motion."""
 
     def rate(depth):
-        return growth(mill, speed, depth, depth * feed)[0]
+        late, step, _ = _late(mill, speed, depth, depth * feed, 60.0)
+        return _rate(late, step)
 
     low, high = 2e-4, 3.6e-4
     at = [rate(low), rate(high)]
@@ -173,7 +193,7 @@ def limit(mill: Mill, speed: float, feed: float = 1e-4, deepest: float = 0.05) -
         low, high, at[0] = high, 1.4 * high, at[1]
         at[1] = rate(high)
         if high > deepest:
-            return math.inf, math.nan
+            return math.inf
     side = 0
     for _ in range(25):
         middle = high - at[1] * (high - low) / (at[1] - at[0])
@@ -188,7 +208,7 @@ def limit(mill: Mill, speed: float, feed: float = 1e-4, deepest: float = 0.05) -
             side = 1
         if abs(value) < 2e-3 or high - low < 3e-4 * high:
             break
-    return middle, growth(mill, speed, middle, middle * feed)[1]
+    return middle
 
 
 @dataclass(frozen=True)

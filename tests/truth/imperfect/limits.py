@@ -15,7 +15,7 @@ import numpy as np
 
 from truth.imperfect import bench
 from truth.imperfect.bench import Answer, Hiding, Real
-from truth.milling_limits import Found, Mill, Modes, limit
+from truth.milling_limits import Found, Mill, Modes, growth, limit_depth
 
 EFFECTS = {
     "process_damping": Hiding(0.2, "of the depth at the lowest speed", ("process_damping",)),
@@ -90,10 +90,10 @@ def planted(d: Drawn, name: str, size: float, rng: np.random.Generator) -> Drawn
     m = d.mill
     if name == "process_damping":
         lowest = d.speeds[0]
-        sharp = limit(m, lowest)[0]
+        sharp = _depth(m, lowest)
         flank, high = 3e4, 0.0
         for _ in range(8):
-            gain = limit(replace(m, flank=flank), lowest)[0] / sharp - 1.0
+            gain = _depth(replace(m, flank=flank), lowest) / sharp - 1.0
             if abs(gain / size - 1.0) < 0.05:
                 break
             flank *= min(max(size / max(gain, 1e-3), 0.2), 5.0)
@@ -105,7 +105,7 @@ def planted(d: Drawn, name: str, size: float, rng: np.random.Generator) -> Drawn
     if name == "bearings":
         return replace(d, mill=replace(m, linear=-size))
     if name == "micro_slip":
-        middle = limit(m, d.speeds[len(d.speeds) // 2])[0]
+        middle = _depth(m, d.speeds[len(d.speeds) // 2])
         return replace(d, mill=replace(m, slip=size, level=max(d.feeds) * middle))
     if name == "coupling":
         return replace(d, mill=replace(m, turn=size))
@@ -124,7 +124,7 @@ def cost_of(d: Drawn, before: Drawn) -> float:
     The larger of that of the least depth and of the rms of the relative changes: a lobe that moves changes the depth at
     one speed a lot, and those that a workshop would choose not at all.
     """
-    was, now = (np.array([_limit(x.mill, *cut)[0] for cut in d.cuts[::2]]) for x in (before, d))
+    was, now = (np.array([_depth(x.mill, *cut) for cut in d.cuts[::2]]) for x in (before, d))
     known = np.isfinite(was) & np.isfinite(now)
     was, now = was[known], now[known]
     least = abs(float(now.min() / was.min()) - 1.0)
@@ -132,8 +132,8 @@ def cost_of(d: Drawn, before: Drawn) -> float:
 
 
 @cache
-def _limit(mill: Mill, speed: float, feed: float) -> tuple[float, float]:
-    return limit(mill, speed, feed)
+def _depth(mill: Mill, speed: float, feed: float = 1e-4) -> float:
+    return limit_depth(mill, speed, feed)
 
 
 def as_built(d: Drawn, spread: dict[str, float], sigma: float, rng: np.random.Generator) -> Drawn:
@@ -198,9 +198,10 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
     ratio = 1.0 + float(rng.uniform(0.04, 0.06))
     found = []
     for speed, feed in d.cuts:
-        depth, frequency = _limit(d.mill, speed, feed)
+        depth = _depth(d.mill, speed, feed)
         if not math.isfinite(depth):
             continue
+        frequency = growth(d.mill, speed, depth, depth * feed)[1]
         if "islands" in sizes and d.speeds.index(speed) % 2:
             depth *= 1.0 + sizes["islands"]
         below = depth * ratio ** -rng.uniform()
