@@ -129,7 +129,7 @@ class Said:
     @property
     def line(self) -> str:
         """One line for who follows the exam."""
-        hidden = "+".join(f"{n} {s:.3g}" for n, s in self.sizes) or "healthy"
+        hidden = "+".join(f"{n} {s:.3g}" for n, s in self.sizes) or self.case.what
         mark = "" if self.right else "  WRONG" if self.case.part in ("null", "effect", "two") else ""
         return f"{self.case.family} {self.case.part} {self.case.seed} {hidden}: {self.words} {self.seconds:.0f} s{mark}"
 
@@ -255,6 +255,7 @@ TITLES = {
     "drive": "Records of a moving axis",
     "cutting": "Cutting forces",
     "limits": "Limits found by cutting",
+    "machine": "A machine of three axes",
 }
 
 
@@ -264,7 +265,8 @@ def page(answers: Sequence[Said], trial: bool = False, code: str = "") -> str:
     lines = [f"{len(answers)} campaigns were sat" + (" (a trial: seeds that were looked at)" if trial else "") + "."]
     if older := sum(a.code != code for a in answers):
         lines[0] += f" {older} of the answers were given by an earlier state of the code."
-    lines += ["", "### All families", "", *_table(answers)]
+    if len(families) > 1:
+        lines += ["", "### All families", "", *_table(answers)]
     for family in families:
         mine = [a for a in answers if a.case.family == family]
         counts = Counter(a.case.part for a in mine)

@@ -35,6 +35,7 @@ if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from truth import imperfect
+from truth.imperfect.bench import Answer
 from truth.imperfect.families import FAMILIES, draw
 
 import smfe
@@ -73,9 +74,14 @@ class OutOfPatienceError(BaseException):
 
 def examine(case: Case, patience: float) -> Said:
     """Write the campaign, have it diagnosed from its file, and keep what was said."""
+    return asked(case, lambda folder: draw(case.family, case.seed, case.what, folder, case.size), patience, code())
+
+
+def asked(case: Case, write: Callable[[Path], Answer], patience: float, state: str) -> Said:
+    """Have a campaign diagnosed that is written to a folder, by a `state` of the code, and keep what was said."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        hidden = draw(case.family, case.seed, case.what, folder, case.size)
+        hidden = write(folder)
         ids = tuple((name, tuple(causes)) for name, causes in hidden.causes.items())
         gone = {*hidden.alike, *(i for _, causes in ids for i in causes)} if case.part == "unknown" else set()
         start = _cpu()
@@ -92,7 +98,7 @@ def examine(case: Case, patience: float) -> Said:
                 verdict, error = "crashed", f"{type(broken).__name__}: {broken}"
         seconds = _cpu() - start
         found = {} if verdict else json.loads((folder / "finding.json").read_text(encoding="utf-8"))
-    return _said(case, hidden, ids, verdict, error, seconds, found)
+    return replace(_said(case, hidden, ids, verdict, error, seconds, found), code=state)
 
 
 def _said(case, hidden, ids, verdict, error, seconds, found) -> Said:
@@ -118,21 +124,20 @@ def _said(case, hidden, ids, verdict, error, seconds, found) -> Said:
         tuple((n, *held) for n, *held in known if n in hidden.truths),
         tuple((n, float(v)) for n, v in hidden.truths.items()),
         error or (found.get("reason") or "")[:200],
-        code(),
     )
 
 
 @cache
-def code() -> str:
-    """Return what tells this state of diagnosis and generator from any other.
+def code(generator: Path = Path(imperfect.__file__).parent, names: str = "*.py") -> str:
+    """Return what tells this state of diagnosis and generator, files of such names in a folder, from any other.
 
     A hash of what they and the physics below them do: words of comments and docstrings are none of it.
     """
     found = hashlib.sha256()
     root = Path(smfe.__file__).parents[1]
-    places = [root / package for package in ("process", "stability", "smfe/diagnosis")]
-    for place in (*places, Path(imperfect.__file__).parent):
-        for path in sorted(place.rglob("*.py")):
+    places = [(root / package, "*.py") for package in ("process", "stability", "smfe/diagnosis")]
+    for place, these in (*places, (generator, names)):
+        for path in sorted(place.rglob(these)):
             found.update(f"{place.name}/{path.relative_to(place).as_posix()}\0{meaning(path.read_text())}\0".encode())
     return found.hexdigest()[:12]
 
@@ -208,7 +213,12 @@ def cases(family: str, nulls: int, seeds: int, fresh: bool, sizes: int = 0) -> l
 
 
 def sit(
-    every: Sequence[Case], kept: Path, jobs: int, patience: float, until: Callable[[], bool] = lambda: False
+    every: Sequence[Case],
+    kept: Path,
+    jobs: int,
+    patience: float,
+    until: Callable[[], bool] = lambda: False,
+    ask: Callable[[Case, float], Said] = examine,
 ) -> list[Said]:
     """Answer every case that has no answer yet, keeping each as it comes; return these and all that were kept."""
     kept.parent.mkdir(parents=True, exist_ok=True)
@@ -216,24 +226,37 @@ def sit(
     done = {a.case for a in answers}
     waiting = [case for case in every if case not in done]
     with kept.open("a") as out:
-        for answer in _answered(waiting, jobs, patience, until):
+        for answer in _answered(waiting, jobs, patience, until, ask):
             answers.append(answer)
             print(json.dumps(asdict(answer)), file=out, flush=True)
             print(f"{len(answers)} {answer.line}", file=sys.stderr, flush=True)
     return answers
 
 
-def _answered(waiting: list[Case], jobs: int, patience: float, until: Callable[[], bool]) -> Iterator[Said]:
+def forget_stale(kept: Path, state: str) -> None:
+    """Forget the answers of any other state of the code."""
+    if kept.exists():
+        lines = [line for line in kept.read_text().splitlines() if Said.read(line).code == state]
+        kept.write_text("".join(f"{line}\n" for line in lines))
+
+
+def _answered(
+    waiting: list[Case],
+    jobs: int,
+    patience: float,
+    until: Callable[[], bool],
+    ask: Callable[[Case, float], Said],
+) -> Iterator[Said]:
     if jobs == 1:
         for case in waiting:
             if until():
                 return
-            yield examine(case, patience)
+            yield ask(case, patience)
         return
     with ProcessPoolExecutor(jobs, max_tasks_per_child=20) as pool:
         while waiting and not until():
             now, waiting = waiting[: 4 * jobs], waiting[4 * jobs :]
-            for future in as_completed([pool.submit(examine, case, patience) for case in now]):
+            for future in as_completed([pool.submit(ask, case, patience) for case in now]):
                 yield future.result()
 
 
@@ -283,9 +306,8 @@ def main() -> None:
     kept = Path(".cache/exam/campaigns_trial.jsonl") if given.trial else KEPT
     if given.afresh:
         kept.unlink(missing_ok=True)
-    elif given.stale and kept.exists():
-        lines = [line for line in kept.read_text().splitlines() if Said.read(line).code == code()]
-        kept.write_text("".join(f"{line}\n" for line in lines))
+    elif given.stale:
+        forget_stale(kept, code())
     parts, end = given.parts.split(","), time.monotonic() + 60.0 * given.minutes
     each = [cases(f, given.nulls, given.seeds, not given.trial, given.sizes) for f in given.families.split(",")]
     mixed = [c for _, c in sorted(((i / len(own), c) for own in each for i, c in enumerate(own)), key=lambda x: x[0])]

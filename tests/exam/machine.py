@@ -1,103 +1,93 @@
 """Exam of the machine of three axes: what was hidden in a simulated portal, named or not; writes a table.
 
-``machine.py TABLE [--healthy 20] [--seeds 20] [--effects NAMES] [--trial] [--jobs N] [--minutes M]``. Every portal has
-guideways that stick and hammer sets at rest and at four feeds and two levels, hits that lean by 0.5 degrees and sensors
-calibrated within 0.3 %. Answers are kept in ``.cache/exam`` as they come, so that an exam that was interrupted goes on.
+Every portal has guideways that stick and hammer sets at rest and at four feeds and two levels, hits that lean by 0.5
+degrees and sensors calibrated within 0.3 %. Answers are kept as those of `exam.campaigns` are, each with the state of
+the code that gave it: an exam that was interrupted goes on.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import tempfile
+import os
 import time
-import warnings
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 
-from truth import three_axes
+if __name__ == "__main__":
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from smfe.commands import diagnose as command
+from truth import three_axes
+from truth.imperfect.bench import Answer
+
+from exam.campaign_scores import Case, Said, page
+from exam.campaigns import FRESH, SEEDS, asked, code, forget_stale, sit
 
 EFFECTS = three_axes.EFFECTS
 PAIRS = tuple(f"{a}+{b}" for n, a in enumerate(EFFECTS) for b in EFFECTS[n + 1 :])
-TRIAL = 1000  # first seed of those that the diagnosis may be tuned on
-Answer = dict[str, object]
+
+KEPT = Path("tests/exam/answers/machine.jsonl")
+"""Answers, trial ones too: what a seed is for its number says."""
 
 
-def sit(job: tuple[str, int]) -> Answer:
-    """Simulate, write and diagnose one campaign."""
-    hidden, seed = job
-    with tempfile.TemporaryDirectory() as name, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        folder = Path(name)
-        path = three_axes.hidden_campaign(seed, () if hidden == "healthy" else hidden.split("+"), folder)
-        start = time.process_time()
-        finding = command.diagnose(path, folder / "finding.json", workers=1)
-        seconds = time.process_time() - start
-    said = sorted({c.id for c in finding.causes})
-    return {"hidden": hidden, "seed": seed, "verdict": finding.verdict, "said": said, "seconds": seconds}
-
-
-def right(answer: Answer) -> bool:
-    """Whether all that was hidden was named, and nothing else."""
-    hidden = [] if answer["hidden"] == "healthy" else str(answer["hidden"]).split("+")
-    expected = "named" if hidden else "consistent"
-    return answer["verdict"] == expected and answer["said"] == sorted(hidden)
-
-
-def table(answers: Sequence[Answer]) -> str:
-    """Return the outcomes as Markdown."""
-    lines = [
-        "| hidden | right | others | CPU time, median (largest) |",
-        "| --- | --- | --- | --- |",
+def cases(healthy: int, seeds: int, pairs: int, fresh: bool) -> list[Case]:
+    """Every case: healthy machines, each effect alone, each pair; all mixed, so that some of each come first."""
+    more = FRESH if fresh else 0
+    found = [
+        (i / max(healthy, 1), Case("machine", "healthy", "null", SEEDS["null"] + more + i)) for i in range(healthy)
     ]
-    for hidden in ("healthy", *EFFECTS, *PAIRS):
-        own = sorted((a for a in answers if a["hidden"] == hidden), key=lambda a: int(str(a["seed"])))
-        if own:
-            others = [f"{a['seed']}: {a['verdict']} {', '.join(map(str, a['said']))}" for a in own if not right(a)]  # type: ignore[call-overload]
-            seconds = sorted(float(str(a["seconds"])) for a in own)
-            time_ = f"{seconds[len(seconds) // 2]:.0f} s ({seconds[-1]:.0f} s)"
-            count = f"{len(own) - len(others)} of {len(own)}"
-            lines.append(f"| {hidden.replace('+', ' + ')} | {count} | {'; '.join(others)} | {time_} |")
-    return "\n".join(lines) + "\n"
+    for part, names, count in (("effect", EFFECTS, seeds), ("two", PAIRS, pairs)):
+        for k, name in enumerate(names):
+            first = SEEDS[part] + more + 100 * k
+            found += [(i / count, Case("machine", name, part, first + i)) for i in range(count)]
+    return [case for _, case in sorted(found, key=lambda x: x[0])]
 
 
-def jobs_of(effects: Sequence[str], healthy: int, seeds: int, first: int) -> Iterator[tuple[str, int]]:
-    """Yield what is asked: healthy machines first, then one seed of each effect after the other."""
-    yield from (("healthy", first + n) for n in range(healthy))
-    yield from ((effect, first + n) for n in range(seeds) for effect in effects)
+def examine(case: Case, patience: float) -> Said:
+    """Simulate, write and diagnose one campaign."""
+    return asked(case, partial(written, case), patience, state())
+
+
+def written(case: Case, folder: Path) -> Answer:
+    """Write a campaign; return what is hidden in it."""
+    effects = () if case.what == "healthy" else tuple(case.what.split("+"))
+    truths = three_axes.hidden_campaign(case.seed, effects, folder)
+    return Answer("machine", case.seed, {}, {name: (name,) for name in effects}, 0.0, truths)
+
+
+def state() -> str:
+    """Return what tells this state of diagnosis and portal from any other."""
+    return code(Path(three_axes.__file__).parent, "three_axes*.py")
 
 
 def main() -> None:
-    """Run the exam."""
+    """Sit the exam and write its table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("output", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--healthy", type=int, default=20, help="healthy machines")
+    parser.add_argument("--seeds", type=int, default=20, help="of each effect")
+    parser.add_argument("--pairs", type=int, default=20, help="seeds of each pair of effects")
+    parser.add_argument("--only", default="", help="what is hidden, separated by commas; default: all")
+    parser.add_argument("--trial", action="store_true", help="seeds on which the diagnosis may be tuned")
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--healthy", type=int, default=20)
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--effects", default=",".join((*EFFECTS, *PAIRS)))
-    parser.add_argument("--trial", action="store_true")
-    parser.add_argument("--minutes", type=float, default=600.0)
+    parser.add_argument("--patience", type=float, default=300.0, help="CPU seconds of one diagnosis")
+    parser.add_argument("--minutes", type=float, default=1e9, help="begin nothing new after so many")
+    parser.add_argument("--stale", action="store_true", help="forget the answers of an earlier state of the code")
     given = parser.parse_args()
-    kept = Path(f".cache/exam/machine{'_trial' if given.trial else ''}.jsonl")
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    answers = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
-    known, end = {(a["hidden"], a["seed"]) for a in answers}, time.monotonic() + 60.0 * given.minutes
-    asked = jobs_of(given.effects.split(","), given.healthy, given.seeds, TRIAL if given.trial else 0)
-    waiting = [job for job in asked if job not in known]
-    with ProcessPoolExecutor(given.jobs) as pool, kept.open("a") as out:
-        running = {pool.submit(sit, job) for job in waiting[: given.jobs]}
-        waiting = waiting[given.jobs :]
-        while running:
-            done = next(as_completed(running))
-            running.remove(done)
-            answers.append(done.result())
-            print(json.dumps(answers[-1]), file=out, flush=True)
-            given.output.write_text(table(answers), encoding="utf-8")
-            if waiting and time.monotonic() < end:
-                running.add(pool.submit(sit, waiting.pop(0)))
+    if given.stale:
+        forget_stale(KEPT, state())
+    only, end = given.only.split(","), time.monotonic() + 60.0 * given.minutes
+    every = [
+        c for c in cases(given.healthy, given.seeds, given.pairs, not given.trial) if not given.only or c.what in only
+    ]
+    answers = sit(every, KEPT, given.jobs, given.patience, lambda: time.monotonic() > end, examine)
+    given.out.write_text(tables(answers), encoding="utf-8")
+
+
+def tables(answers: list[Said]) -> str:
+    """Return the page: the exam that counts, and apart from it the trial."""
+    counts = [a for a in answers if a.case.seed >= FRESH]
+    trial = [a for a in answers if a.case.seed < FRESH]
+    return "\n".join(page(some, some is trial, state()) for some in (counts, trial) if some)
 
 
 if __name__ == "__main__":

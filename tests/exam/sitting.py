@@ -81,8 +81,8 @@ friction that are fitted anew cannot take (`--material 3` writes the table).
 
 `make exam-machine` hides friction of the guideways, its asymmetry, micro-slip of a joint and wrong servo gains, each
 alone and in pairs, in a simulated portal with three feed axes (`tests/truth/three_axes.py`), and counts what `smfe
-diagnose` says of hammer sets at rest and in motion, at two levels. It goes on where it was interrupted; it has not been
-sat yet.
+diagnose` says of hammer sets at rest and in motion, at two levels. Answers are kept as they come, each with the state
+of the code that gave it (`tests/exam/answers/machine.jsonl`), so that it goes on where it was interrupted.
 """
 """Of the exams that are sat through campaign files, `exam.campaigns` and `exam.machine`."""
 

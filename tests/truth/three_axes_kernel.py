@@ -45,10 +45,11 @@ def _slopes(y, n, inverse, damping, stiffness, slides, friction, feed, steady, d
 
 
 @njit(cache=True)
-def run(inverse, damping, stiffness, slides, tool, friction, feed, servo, resolution, joint, elements, pulse, axis, h):
+def run(inverse, damping, stiffness, slides, tool, friction, feed, servo, resolution, joint, elements, pulse, way, h):
     """Return the acceleration of the tool (3, n) and the movement of the slides (a, n) under a force (n,) on it.
 
-    servo: rows of Kp, Ti, Kv, readings of lag; h: step of the integrator [s].
+    way: what of the force acts along x, y, z (3,); servo: rows of Kp, Ti, Kv, readings of lag; h: step of the
+    integrator [s].
     """
     n, a, m = inverse.shape[0], slides.shape[0], elements.shape[0]
     size = 2 * n + a + m
@@ -65,6 +66,7 @@ def run(inverse, damping, stiffness, slides, tool, friction, feed, servo, resolu
     queue = np.zeros((a, 64))
     count = pulse.size
     moved, at_slides = np.zeros((3, count)), np.zeros((a, count))
+    pushed = way[0] * tool[0] + way[1] * tool[1] + way[2] * tool[2]
     for t in range(count - 1):
         if t % SUBSTEPS == 0:
             period = SUBSTEPS * h
@@ -80,9 +82,9 @@ def run(inverse, damping, stiffness, slides, tool, friction, feed, servo, resolu
                     queue[i, j] = queue[i, j - 1]
                 queue[i, 0] = servo[i, 0] * (error + integral[i])
                 drive[i] = queue[i, int(servo[i, 3])]
-        now = tool[axis] * pulse[t]
-        middle = tool[axis] * (0.5 * (pulse[t] + pulse[t + 1]))
-        then = tool[axis] * pulse[t + 1]
+        now = pushed * pulse[t]
+        middle = pushed * (0.5 * (pulse[t] + pulse[t + 1]))
+        then = pushed * pulse[t + 1]
         for i in range(3):
             moved[i, t] = 0.0
         _slopes(y, n, inverse, damping, stiffness, slides, friction, feed, steady, drive, now, joint, elements, k1)
