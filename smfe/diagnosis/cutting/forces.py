@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from process.cut.tool import Tool
 from process.errors import InputError
@@ -136,6 +137,10 @@ class CuttingForces(Abilities):
     def measured_noise(self, condition: Condition) -> Real | None:
         """Return what records scatter by, and hum, without what real cuts were off by: most cuts are nearer."""
         return condition.data.measured if isinstance(condition.data, CuttingOrders) else None
+
+    def kinds(self, condition: Condition) -> NDArray[np.int64] | None:
+        """Return the order of each value: unbalance is in the first alone, unequal teeth in those of no tooth."""
+        return condition.data.order_of_values if isinstance(condition.data, CuttingOrders) else None
 
     def squared_size(self, condition: Condition, misfit: Real) -> float:
         """Return the square of the error of a force over the force, rms over rms of all axes, for a whitened misfit.

@@ -83,6 +83,12 @@ class CuttingOrders:
         """Which orders count, shape (orders, 3)."""
         return np.isfinite(self.std)
 
+    @property
+    def order_of_values(self) -> NDArray[np.int64]:
+        """Order of each whitened value."""
+        order = np.nonzero(self.used)[0]
+        return np.concatenate([order, order[order > 0]])
+
     @functools.cached_property
     def weighted(self) -> Complex:
         """Orders over their variance, (orders, 3)."""

@@ -54,8 +54,8 @@ def sensor_causes(highest: float, fastest: float, resonances: tuple[float, ...])
 
     `resonances` are values of the dynamics of the dynamometer from which a fit begins, besides usual ones.
     """
-    exchange = Parameter("exchange", "1", 0.0, 0.2, -0.5, 1.5)
-    over = Parameter("turned_over", "1", 0.0, 0.2, -0.5, 1.5)
+    # Switches, like signs: beyond its threshold nothing holds one, and where it ends says nothing.
+    exchange, over = (Parameter(n, "1", 0.0, 1.0, 0.0, 1.5, secondary=True) for n in ("exchange", "turned_over"))
     turn = Parameter("turned", "deg", 0.0, 0.2, -3.5, 3.5, shown=_DEGREES)
     offsets = tuple(Parameter(f"offset_{a}", "N", 0.0, 5.0, -1e3, 1e3) for a in AXES)
     dynamics = tuple(p for a in AXES for p in _resonance(a, highest))
@@ -82,7 +82,6 @@ def sensor_causes(highest: float, fastest: float, resonances: tuple[float, ...])
             starts=((0.5 * math.pi,), (-0.5 * math.pi,), (3.0,)),
         ),
         *(
-            # A switch: beyond its threshold nothing holds it, and where it ends says nothing.
             Cause(
                 "sensor_gain",
                 title,
@@ -146,24 +145,29 @@ def through_sensor(orders: Complex, rotation: float, values: Values) -> Complex:
             out[:, i] /= np.where(np.abs(flexible) < 1e-3, 1e-3, flexible)
     # A sum: what the channels have in common and what is their own trade with each other, however large they are.
     gains = [1.0 + values.get("gain_common", 0.0) + values.get(f"gain_{a}", 0.0) for a in AXES]
-    signs = [_sign(values.get("sign", 0.0)) * _sign(values.get(f"sign_{a}", 0.0)) for a in AXES]
+    signs = [_sign(values, "sign") * _sign(values, f"sign_{a}") for a in AXES]
     out *= np.multiply(gains, signs)
     out[0] += [values.get(f"offset_{a}", 0.0) for a in AXES]
     return out
 
 
-def _sign(wrong: float) -> float:
-    """A sign is right or wrong: there is nothing between, where it would be a gain."""
-    return -1.0 if wrong > 0.5 else 1.0
+def _on(values: Values, switch: str) -> bool:
+    """Whether a switch is on: between right and wrong there is nothing, where it would be a gain of one axis."""
+    return values.get(switch, 0.0) > 0.5
+
+
+def _sign(values: Values, switch: str) -> float:
+    return -1.0 if _on(values, switch) else 1.0
 
 
 def _mounted(values: Values) -> Real:
     """What each channel shows of each axis, (3, 3): exchanged and turned axes, then what it shows of the others."""
-    mix, turn = values.get("exchange", 0.0), values.get("turned", 0.0) + values.get("mounting", 0.0)
+    turn = values.get("turned", 0.0) + values.get("mounting", 0.0)
     c, s = math.cos(turn), math.sin(turn)
-    over = values.get("turned_over", 0.0)
-    mix += over
-    exchanged = np.array([[1.0 - mix, mix, 0.0], [mix, 1.0 - mix, 0.0], [0.0, 0.0, 1.0 - 2.0 * over]])
+    exchanged = np.eye(3)
+    if _on(values, "exchange") != _on(values, "turned_over"):
+        exchanged[:2] = exchanged[1::-1]
+    exchanged[2, 2] = _sign(values, "turned_over")
     turned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     shown = [[1.0 if a == b else values.get(f"talk_{a}{b}", 0.0) for b in AXES] for a in AXES]
     return np.asarray(np.array(shown) @ turned @ exchanged)

@@ -45,7 +45,9 @@ class HeldOut:
     trusted: bool  # whether all fits converged
     fitted: Mapping[int, tuple[Real, ...]] = field(default_factory=dict)
     """Scaled values that predicted each condition, one for each scheme."""
-    white: bool = False  # whether the noise of the values is independent and of known size
+    along: float = math.inf
+    """Most that the variance of their noise is along any direction: one of independent values of a known size, the
+    number of conditions where these may miss the same in all of them; infinite: not known."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +63,9 @@ class Gain:
     ratio has then been held against; else what all but 0.135 % of the bootstrap exceeds. Near the noise floor the
     decibels of the bootstrap are skewed, and their standard deviation bounds nothing.
 
-    Where that noise is white the bootstrap is not the only measure of it: squares won from white noise scatter by twice
-    their root when the same conditions are measured again. That an effect acts in few of them, as a worn flank does at
-    the slowest speeds, is no scatter."""
+    Where the size of that noise is known the bootstrap is not the only measure of it: squares won from white noise
+    scatter by twice their root when the same conditions are measured again. That an effect acts in few of them, as a
+    worn flank does at the slowest speeds, or in few orders, as a resonance does, is no scatter."""
     held_out: str = "conditions"  # or "blocks of values": what the fit did not use
 
     @property
@@ -152,19 +154,26 @@ def held_out(model: Model, target: Target, fit: Fit, chosen: Sequence[Scheme]) -
                 squares.setdefault(r, []).append(float(out[r] @ out[r]))
                 floors.setdefault(r, []).append(spread.square(r))
                 fitted[r] = (*fitted.get(r, ()), u)
-        misfits.append(assess(groups, False, model.noise_knowledge))
+        misfits.append(assess(groups, False, model.noise_knowledge, model.kinds))
     worst = min(misfits, key=lambda m: m.p_value, default=Misfit(1.0, 0.0, 0.0, {}))
     worst = replace(worst, p_value=min(1.0, worst.p_value * len(misfits)))
     values = {r: float(target.observed[r].size) for r in squares}
     mean, floor = ({r: float(np.mean(v)) for r, v in x.items()} for x in (squares, floors))
-    return HeldOut(mean, floor, values, worst, trusted, fitted, _white(model, list(squares)))
+    return HeldOut(mean, floor, values, worst, trusted, fitted, _along(model, list(squares)))
 
 
-def _white(model: Model, rows: Sequence[int]) -> bool:
-    """Whether the noise of conditions is independent from value to value and of a size that is known."""
+def _along(model: Model, rows: Sequence[int]) -> float:
+    """Return the most that the variance of the noise of conditions is along any direction; infinite: not known."""
     family, known = model.family, model.noise_knowledge
-    exact = all(math.isinf(known.of(r)) and family.measured_noise(model.conditions[r]) is None for r in rows)
-    return exact and family.model_error == 0.0 and family.roughness == 0.0
+    if family.model_error > 0.0 or family.roughness > 0.0 or not all(math.isinf(known.of(r)) for r in rows):
+        return math.inf
+    # What a model may miss it may miss of all conditions alike.
+    return float(len(rows)) if _missed(model, rows) else 1.0
+
+
+def _missed(model: Model, rows: Sequence[int]) -> bool:
+    """Whether conditions are whitened by what a model may miss of them, too."""
+    return any(model.family.measured_noise(model.conditions[r]) is not None for r in rows)
 
 
 def within(model: Model, target: Target, fit: Fit) -> HeldOut | None:
@@ -204,7 +213,9 @@ def within(model: Model, target: Target, fit: Fit) -> HeldOut | None:
         r: min(misfit.by_condition[b] for b in range(n * RULES.blocks, (n + 1) * RULES.blocks))
         for n, r in enumerate(target.observed)
     }
-    return HeldOut(squares, floor, count, replace(misfit, by_condition=by_row), fit.converged)
+    bounded = replace(misfit, by_condition=by_row)
+    along = _along(model, list(target.observed)) if _missed(model, list(target.observed)) else math.inf
+    return HeldOut(squares, floor, count, bounded, fit.converged, along=along)
 
 
 def _apart(model: Model, target: Target, fit: Fit, fold: Fold) -> tuple[Mapping[int, Real], Real, bool]:
@@ -242,7 +253,8 @@ def unseen(model: Model, target: Target, fit: Fit, data: Mapping[int, Real]) -> 
     spread = _spread(model, target, fit, slope)
     squares, floors = {r: float(x @ x) for r, x in out.items()}, {r: spread.square(r) for r in data}
     values = {r: float(x.size) for r, x in out.items()}
-    return HeldOut(squares, floors, values, assess([(out, spread.load)], False, model.noise_knowledge), fit.converged)
+    misfit = assess([(out, spread.load)], False, model.noise_knowledge, model.kinds)
+    return HeldOut(squares, floors, values, misfit, fit.converged)
 
 
 @dataclass(frozen=True)
@@ -289,8 +301,8 @@ def compare(before: HeldOut, after: HeldOut, rng: np.random.Generator) -> Gain:
     decibels = np.copysign(10.0 * np.log10(1.0 + np.abs(gained) / left), gained)
     db, sd = float(decibels[0]), float(np.std(decibels[1:]))
     low = db - 3.0 * sd if noisy else float(np.quantile(decibels[1:], RULES.three_sigma))
-    if noisy and after.white and gained[0] > 0.0:
-        least = float(gained[0]) - 3.0 * 2.0 * math.sqrt(float(gained[0]))
+    if noisy and after.along < math.inf and gained[0] > 0.0:
+        least = float(gained[0]) - 3.0 * 2.0 * math.sqrt(float(gained[0]) * after.along)
         low = max(low, math.copysign(10.0 * math.log10(1.0 + abs(least) / float(left[0])), least))
     total = [sum(x.squares[r] for r in rows) for x in (before, after)]
     whole = gained[0] + left[0]

@@ -1,9 +1,11 @@
-"""Whether residuals are more than noise: in all, smooth along a condition, or gathered in one condition.
+"""Whether residuals are more than noise: in all, smooth along a condition, or gathered in one condition or one kind.
 
 Every test is of squares of residuals over the covariance that they have when the model is right, so that each has a
 chi-square law, or Fisher's F where the noise was measured itself; the smallest of their p-values counts, times the
 number of tests (Bonferroni). The smooth part is the slowest cosines of every second value, which are smooth too where
-real and imaginary parts alternate: white noise has little there, a missing effect much.
+real and imaginary parts alternate: white noise has little there, a missing effect much. Of a kind of values, such as
+one order of the spindle, the mean of the squares over the conditions is held against the law of one condition: what a
+model may miss of it it misses in all of them alike.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from process.types import Real
@@ -36,6 +39,9 @@ class Misfit:
 
 Group = tuple[Mapping[int, Real], Mapping[int, Real]]
 """Whitened residuals of some conditions, (n,), and the rows of L, (n, p), that they share an error through."""
+
+Kinds = Mapping[int, NDArray[np.int64]]
+"""Condition -> kind of each of its values, (n,)."""
 
 
 @dataclass(frozen=True)
@@ -64,10 +70,11 @@ KNOWN = NoiseKnowledge()
 """Of noise that is known."""
 
 
-def assess(groups: Sequence[Group], shrinks: bool, noise: NoiseKnowledge = KNOWN) -> Misfit:
+def assess(groups: Sequence[Group], shrinks: bool, noise: NoiseKnowledge = KNOWN, kinds: Kinds | None = None) -> Misfit:
     """Test residuals whose covariance is ``I - L L^T`` (fitted: it shrinks) or ``I + L L^T`` (held out).
 
-    Where the noise was measured itself, Fisher's F takes the place of chi-square.
+    Where the noise was measured itself, Fisher's F takes the place of chi-square. Of conditions whose values are of
+    several `kinds` each of these is tested, too.
     """
     sign = -1.0 if shrinks else 1.0
     whole = slow = np.zeros(2)
@@ -85,8 +92,22 @@ def assess(groups: Sequence[Group], shrinks: bool, noise: NoiseKnowledge = KNOWN
     if not own:
         return Misfit(1.0, 0.0, 0.0, {})
     known = noise.together(sizes)
-    tests = (_p_value(whole, known), _p_value(slow, min(noise.common, known)), min(own.values()) * len(own))
-    return Misfit(min(1.0, 3.0 * min(tests)), float(whole[0]), float(whole[1]), own)
+    tests = [_p_value(whole, known), _p_value(slow, min(noise.common, known)), min(own.values()) * len(own)]
+    if kinds:
+        tests.append(_of_kinds(groups, kinds, sign, min(noise.of(r) for r in own)))
+    return Misfit(min(1.0, len(tests) * min(tests)), float(whole[0]), float(whole[1]), own)
+
+
+def _of_kinds(groups: Sequence[Group], kinds: Kinds, sign: float, degrees_of_freedom: float) -> float:
+    """Return the p-value of the kind of values that looks worst, times the number of kinds."""
+    squares: dict[int, list[Real]] = {}
+    for residual, load in groups:
+        for r in residual.keys() & kinds.keys():
+            for kind in np.unique(kinds[r]):
+                mine = kinds[r] == kind
+                squares.setdefault(int(kind), []).append(_square(residual[r][mine], load[r][mine], sign))
+    every = (_p_value(np.mean(s, axis=0), degrees_of_freedom) for s in squares.values())
+    return min(every, default=1.0) * len(squares)
 
 
 def _joined(parts: Sequence[tuple[Real, Real]]) -> tuple[Real, Real]:

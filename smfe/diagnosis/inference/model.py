@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Collection, Mapping, Sequence
+from functools import cached_property
 from itertools import pairwise
 from time import perf_counter
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.types import Real
-from smfe.diagnosis.inference.misfit import NoiseKnowledge
+from smfe.diagnosis.inference.misfit import Kinds, NoiseKnowledge
 from smfe.diagnosis.inference.problem import Cause, Condition, Family, Parameter
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.workers import Answer, Helpers
@@ -94,6 +95,12 @@ class Model:
         """How well the noise of the data is known: by the family, and by what it was measured with."""
         own = {row: self.family.condition_degrees_of_freedom(c) for row, c in enumerate(self.conditions)}
         return NoiseKnowledge(self.family.noise_degrees_of_freedom, own)
+
+    @cached_property
+    def kinds(self) -> Kinds:
+        """Kinds of the values of those conditions that have several."""
+        each = ((row, self.family.kinds(c)) for row, c in enumerate(self.conditions) if c.observed is not None)
+        return {row: k for row, k in each if k is not None}
 
     def null(self) -> Real:
         """Return the baseline at its most likely nuisances."""

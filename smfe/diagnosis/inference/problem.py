@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from process.errors import InputError
 from process.types import Complex, Real
@@ -139,6 +140,10 @@ class Abilities(Protocol):
         What else data are whitened by is the most that a model may miss. That is no misfit, but part of the size of
         one, and how much of it a model does miss is seen in what a fit leaves.
         """
+        return None
+
+    def kinds(self, condition: Condition) -> NDArray[np.int64] | None:
+        """Return the kind of each value, (n,), of which a missing effect may be in one alone; None: all are alike."""
         return None
 
     @property

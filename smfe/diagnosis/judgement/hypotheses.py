@@ -385,7 +385,7 @@ class Bench:
         basis, ends = self.tangent(at).basis, np.cumsum([r.size for r in at.residual.values()])
         parts = np.split(basis[: ends[-1]], ends[:-1])
         groups = [(at.residual, dict(zip(at.residual, parts, strict=True)))]
-        return assess(groups, True, self.model.noise_knowledge)
+        return assess(groups, True, self.model.noise_knowledge, self.model.kinds)
 
     def bad(self, at: Fit) -> bool:
         """Whether a fit leaves more than noise: then a cause is looked for far from its null too."""

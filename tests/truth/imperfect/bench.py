@@ -59,12 +59,16 @@ class Hiding:
 
 
 def raised(
-    size: float, cost: Callable[[float], float], switch: bool = False, largest: float = LARGEST
+    size: float,
+    cost: Callable[[float], float],
+    switch: bool = False,
+    largest: float = LARGEST,
+    clearly: float = CLEARLY,
 ) -> tuple[float, float]:
     """Return a size, made larger by 12 % at a time until it clearly costs what is material, and what it then costs."""
     most = largest * abs(size)
     now = cost(size)
-    while not switch and now < CLEARLY * MATERIAL and abs(size) * 1.12 < most:
+    while not switch and now < clearly * MATERIAL and abs(size) * 1.12 < most:
         size *= 1.12
         now = cost(size)
     return size, now

@@ -20,12 +20,16 @@ from smfe.diagnosis.consequences import with_consequences
 from smfe.diagnosis.cutting.forces import CuttingForces, KnownForce, cutting_family
 from smfe.diagnosis.cutting.orders import SteadyCut, cutting_orders, find_rotation
 from smfe.diagnosis.cutting.rigid import rigid_orders
+from smfe.diagnosis.cutting.sensor import through_sensor
+from smfe.diagnosis.inference.fit import Target
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.judgement.diagnose import diagnose
 from smfe.diagnosis.judgement.finding import Finding
+from smfe.diagnosis.judgement.hypotheses import Bench
 from smfe.diagnosis.judgement.materiality import Worth
 from smfe.diagnosis.judgement.search import on_bound
+from smfe.progress import silent
 
 MILL = Mill()
 TOOL = Tool(MILL.diameter, MILL.teeth)
@@ -145,7 +149,7 @@ def test_a_mounting_and_cross_talk_cannot_undo_each_other_to_any_gain() -> None:
 
 
 def test_a_switch_may_end_on_its_bound() -> None:
-    """A sign is turned or not, wherever beyond its threshold a fit leaves it; a share of exchanged axes is a number."""
+    """A sign is turned or not, wherever beyond its threshold a fit leaves it; by how much a sensor is turned counts."""
     model = Model(small(), small().conditions)
 
     def objection(key: str) -> str:
@@ -155,7 +159,28 @@ def test_a_switch_may_end_on_its_bound() -> None:
         return on_bound(model, SimpleNamespace(u=u), (k,))
 
     assert [objection(f"sensor_gain/sign{a}") for a in ("", "_x", "_y", "_z")] == [""] * 4
-    assert objection("sensor_axis/exchange") == "exchange"
+    assert [objection(f"sensor_axis/{v}") for v in ("exchange", "turned_over")] == ["", ""]
+    assert objection("sensor_axis/turned") == "turned"
+
+
+def test_axes_are_exchanged_or_not_and_nothing_between_that_would_be_a_gain() -> None:
+    """Of x and y exchanged with z turned round a twentieth would be a gain of -10 % along z, and of nothing else."""
+    force = np.array([[1.0, 2.0, 3.0]], dtype=complex)
+    for share in (0.05, 0.3):
+        for name in ("exchange", "turned_over"):
+            np.testing.assert_array_equal(through_sensor(force, 0.0, {name: share}), force)
+    np.testing.assert_array_equal(through_sensor(force, 0.0, {"exchange": 1.0}), [[2.0, 1.0, 3.0]])
+    np.testing.assert_array_equal(through_sensor(force, 0.0, {"turned_over": 1.0}), [[2.0, 1.0, -3.0]])
+
+
+def test_unbalance_that_has_no_name_is_more_than_noise_though_other_orders_are_nearer_than_they_need_be() -> None:
+    """5 % of each order of the teeth may be missed, and hardly any is."""
+    family = family_of(measure_cuts(Mill(helix=0.1, unbalance=1.7), FEEDS, 0), 0.05)
+    model = Model(family, family.conditions)
+    target = Target({r: c.observed for r, c in enumerate(family.conditions)}, model.null())
+    bench = Bench(model, target, 0, silent)
+    assert (left := bench.misfit(bench.null())).p_value < 1e-3
+    assert left.ratio < 1.0
 
 
 def test_the_angle_at_which_a_record_starts_does_not_matter() -> None:

@@ -1,5 +1,7 @@
 """Claims about what a gain on held-out conditions proves."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -7,22 +9,25 @@ from smfe.diagnosis.inference.cross_validation import HeldOut, compare
 from smfe.diagnosis.inference.misfit import Misfit
 
 
-def predicted(squares: list[float], white: bool) -> HeldOut:
+def predicted(squares: list[float], along: float) -> HeldOut:
     rows = dict(enumerate(squares))
     noise = Misfit(0.5, float(len(squares)), float(len(squares)), {})
-    return HeldOut(rows, dict.fromkeys(rows, 0.5), dict.fromkeys(rows, 2.0), noise, True, {}, white)
+    return HeldOut(rows, dict.fromkeys(rows, 0.5), dict.fromkeys(rows, 2.0), noise, True, {}, along)
 
 
-@pytest.mark.parametrize(("won", "white", "proven"), [(100.0, True, True), (100.0, False, False), (30.0, True, False)])
+@pytest.mark.parametrize(
+    ("won", "along", "proven"),
+    [(100.0, 1.0, True), (100.0, math.inf, False), (30.0, 1.0, False), (100.0, 10.0, False), (500.0, 10.0, True)],
+)
 def test_what_acts_in_one_condition_of_ten_is_proven_by_what_it_wins_there(
-    won: float, white: bool, proven: bool
+    won: float, along: float, proven: bool
 ) -> None:
     """A gain W of squares over white noise scatters by 2 sqrt(W) if all is measured once more: 100 by 20, 30 by 11.
 
     Conditions drawn again without the one in which it acts are other conditions; of noise that is not known to be white
-    they are the only measure of its scatter.
+    they are the only measure of its scatter. What a model may miss of all ten alike has ten times the variance.
     """
-    without = predicted([2.0 + won, *[2.0] * 9], white)
-    found = compare(without, predicted([2.0] * 10, white), np.random.default_rng(0))
+    without = predicted([2.0 + won, *[2.0] * 9], along)
+    found = compare(without, predicted([2.0] * 10, along), np.random.default_rng(0))
     assert found.db > 1.0
     assert found.proven is proven

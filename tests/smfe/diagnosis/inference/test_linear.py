@@ -265,6 +265,18 @@ def test_noise_has_uniform_p_values_in_the_misfit_test_and_a_smooth_remainder_ha
     assert assess([(dict(enumerate(np.split(z, 5))), load)], shrinks=True).p_value < 1e-3
 
 
+def test_what_is_missed_of_one_kind_of_values_shows_among_many_that_are_nearer_than_they_need_be():
+    """40 kinds of 6 values in 7 conditions, all but one of them 0.3 of the noise that they are held to."""
+    rng, kinds = np.random.default_rng(3), {k: np.tile(np.arange(40), 6) for k in range(7)}
+    load = dict.fromkeys(range(7), np.zeros((240, 0)))
+    near = {k: 0.3 * rng.standard_normal(240) for k in range(7)}
+    off = {k: x + 3.0 * (kinds[k] == 1) for k, x in near.items()}
+    assert assess([(off, load)], shrinks=True).p_value > 0.5
+    assert assess([(off, load)], shrinks=True, kinds=kinds).p_value < 1e-6
+    alone = [assess([({0: rng.standard_normal(240)}, load)], True, kinds=kinds).p_value for _ in range(200)]
+    assert np.mean(np.array(alone) < 0.05) <= 0.08
+
+
 @pytest.mark.parametrize(("draws", "most"), [(600, 0.03), pytest.param(2000, 0.025, marks=pytest.mark.slow)])
 def test_noise_that_is_itself_estimated_makes_a_misfit_of_one_condition_an_f_law(draws, most):
     """40 values, their standard deviation from 60 others: uniform p-values; alarms without allowing for it."""
