@@ -128,8 +128,8 @@ class Mill:
 
 def growth(mill: Mill, speed: float, depth: float, section: float = 0.0, waves: float = 60.0) -> tuple[float, float]:
     """Return how a push grows [1/s] and its frequency [Hz] at a spindle speed [rpm] and depth [m]."""
-    late, step, fastest = _late(mill, speed, depth, section, waves)
-    rate = _rate(late, step)
+    late, step, fastest = motion(mill, speed, depth, section, waves)
+    rate = rate_of(late, step)
     level = late * np.exp(-rate * step * np.arange(late.shape[0]))[:, None]
     length = 8 * late.shape[0]
     power = np.sum(np.abs(np.fft.rfft(level * np.hanning(late.shape[0])[:, None], length, axis=0)) ** 2, axis=1)
@@ -138,7 +138,7 @@ def growth(mill: Mill, speed: float, depth: float, section: float = 0.0, waves: 
     return rate, float(lines[inside][np.argmax(power[inside])])
 
 
-def _late(mill: Mill, speed: float, depth: float, section: float, waves: float) -> tuple[np.ndarray, float, float]:
+def motion(mill: Mill, speed: float, depth: float, section: float, waves: float) -> tuple[np.ndarray, float, float]:
     """Return the second half of a motion, its step [s] and the frequency of the fastest mode [Hz]."""
     w, z, gain, u = mill.seen(speed, section)
     period = 60.0 / speed / mill.teeth
@@ -166,7 +166,7 @@ def _late(mill: Mill, speed: float, depth: float, section: float, waves: float) 
     return out[periods * steps :], period / steps, float(w.max()) / (2.0 * math.pi)
 
 
-def _rate(late: np.ndarray, step: float) -> float:
+def rate_of(late: np.ndarray, step: float) -> float:
     """Size in eight pieces of a motion: its logarithm grows as a line."""
     size = np.log([math.sqrt(float(np.mean(p**2))) + 1e-300 for p in np.array_split(late, 8)])
     return float(np.polyfit(late.shape[0] * step / 8.0 * np.arange(8), size, 1)[0])
@@ -182,8 +182,8 @@ def limit_depth(mill: Mill, speed: float, feed: float = 1e-4, deepest: float = 0
     """Return the limit depth [m] alone: the frequency of a motion takes longer than the motion."""
 
     def rate(depth):
-        late, step, _ = _late(mill, speed, depth, depth * feed, 60.0)
-        return _rate(late, step)
+        late, step, _ = motion(mill, speed, depth, depth * feed, 60.0)
+        return rate_of(late, step)
 
     low, high = 2e-4, 3.6e-4
     at = [rate(low), rate(high)]

@@ -189,6 +189,9 @@ def _trials(
         if verdict in ("stable", "chatter"):
             measured = verdict == judged.verdict == "chatter" and math.isfinite(judged.chatter_frequency_Hz)
             frequency = judged.chatter_frequency_Hz if measured else None
-            trial = Trial(test.spindle_speed, test.depth_of_cut, verdict == "chatter", frequency)
+            start, end = judged.interval_s
+            # A line is read to a part of the distance of the lines that its record resolves: evenly spread within one.
+            read = 1.0 / (math.sqrt(12.0) * (end - start))
+            trial = Trial(test.spindle_speed, test.depth_of_cut, verdict == "chatter", frequency, read)
             found.setdefault((test.cut, test.width_of_cut, test.stated_feed_per_tooth), []).append((test, trial))
     return found

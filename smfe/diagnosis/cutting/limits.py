@@ -41,6 +41,7 @@ class Trial:
     depth: float  # axial depth [m]
     chatter: bool  # whether it chattered
     frequency: float | None = None  # chatter frequency [Hz]
+    frequency_std: float = 0.5  # its standard deviation [Hz]
 
 
 @dataclass(frozen=True)
@@ -159,8 +160,9 @@ def bracketed(trials: Sequence[Trial], feed_per_tooth: float = 1e-4) -> tuple[tu
         else:
             width = math.log(chattering[0].depth / max(stable))
             middle = math.sqrt(chattering[0].depth * max(stable))
-            observed = next((t.frequency for t in chattering if t.frequency is not None), None)
-            limits.append(Limit(speed, middle, width / math.sqrt(12.0), observed, feed_per_tooth=feed_per_tooth))
+            seen = next((t for t in chattering if t.frequency is not None), chattering[0])
+            spread = width / math.sqrt(12.0)
+            limits.append(Limit(speed, middle, spread, seen.frequency, seen.frequency_std, feed_per_tooth))
     return tuple(limits), tuple(notes)
 
 
@@ -522,7 +524,23 @@ def _missing(machine: ModalModel) -> Cause:
     )
     places = np.geomspace(1.05 * low, 0.95 * high, 6)
     starts = tuple((0.1 * usual, float(f), 0.04, a) for f in places for a in (0.01, 0.5 * math.pi))
-    return Cause("missing_mode", "a mode that the model does not have", parameters, starts=starts)
+    title = "a mode that the model does not have"
+    return Cause("missing_mode", title, parameters, starts=starts, beyond=partial(_inside_a_peak, machine))
+
+
+def _inside_a_peak(machine: ModalModel, values: Mapping[str, float]) -> str:
+    """Say of which mode the peak holds one that is missing; "" for none.
+
+    Between its half-power points, with more of its compliance along it than `RULES.in_a_peak`, it is what was
+    identified as that mode: a compliance of it that is wrong, and no mode of its own.
+    """
+    if values.get("mode_compliance", 0.0) <= 0.0:
+        return ""
+    azimuth = values["mode_azimuth"]
+    along = np.abs(machine.direction @ [math.cos(azimuth), math.sin(azimuth), 0.0])
+    away = np.abs(values["mode_frequency"] / machine.frequency - 1.0)
+    (inside,) = np.nonzero((away < machine.damping) & (along**2 > RULES.in_a_peak))
+    return f"mode_frequency (inside the peak of mode {inside[0] + 1})" if inside.size else ""
 
 
 def limit_family(
@@ -605,7 +623,7 @@ def _corrected(plain: CuttingLimits, limit: Limit) -> KnownLimit:
         if crossings:
             # What the mesh that is fitted is off by.
             ratio = found.depth_ratio * float(zero_order[0][0]) / crossings[0].depth
-            ratio = ratio if abs(ratio - 1.0) < RULES.limit_floor else 1.0
+            ratio = ratio if abs(ratio - 1.0) < RULES.mesh_error else 1.0
             return KnownLimit(limit, ratio, 1.0, tuple(crossings))
     return found
 

@@ -42,7 +42,10 @@ class CuttingRules:
     beside: float = 8.0  # independent powers of noise beside a line
     # limits
     common: float = 0.4  # prior standard deviation of the stiffness of all modes together, over that of each
-    limit_floor: float = 0.015  # what a limit is trusted to, relative
+    limit_floor: float = 0.01
+    """What a limit is trusted to beside its bracket, relative: what a converged prediction is off by, and forces of
+    repeated cuts. The depth that is set and the step of the ladder count by themselves."""
+    mesh_error: float = 0.015  # largest relative error of the limit on the mesh of a fit that is taken for its own
     floor_of_correction: float = 0.25
     """Share of the (log of the) correction of the zero-order limit that is added to it."""
     most_corrected: float = 0.3  # logarithm of the correction beyond which zero order does not describe a cut
@@ -65,6 +68,8 @@ class CuttingRules:
     not_observed: float = 3.0  # of these together, beyond which a crossing is not the one observed
     deepest_observed: float = 2.0  # depth over that of a limit, down to which its crossings are looked for
     kept_cuts: int = 200  # converged limits that are kept for their slopes
+    in_a_peak: float = 0.1
+    """Share of the compliance of a mode along another in whose peak it lies from which it is not seen apart from it."""
     flank_friction: float = 0.3  # friction coefficient between flank and work
     minutes: float = 20.0  # to bracket a limit
 

@@ -72,6 +72,10 @@ class Cause:
     """From values to other ones of the parameters that predict (nearly) the same: a symmetry of the cause. Of two that
     fit alike the nearer to the null is taken."""
 
+    beyond: Callable[[Mapping[str, float]], str] | None = field(default=None, compare=False)
+    """From values to the parameter that is where this cause cannot be, in words; "" for none. As an end of its bounds:
+    a fit may pass there, and what ends there is refused."""
+
     @property
     def key(self) -> str:
         """Id and variant."""

@@ -214,6 +214,9 @@ def on_bound(model: Model, found: Fit, causes: Sequence[int]) -> str:
             near = min(abs(u - model.low[j]), abs(model.high[j] - u))
             if near < 1e-6 and abs(u) > 1e-6:
                 return str(model.names[j])
+        beyond = model.causes[k].beyond
+        if beyond is not None and (name := beyond(model.values(found.u))):
+            return name
     return ""
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smfe.campaign import load_campaign
-from truth.imperfect import axis, drive, modal
+from truth.imperfect import axis, drive, limits, modal
 from truth.imperfect.bench import MATERIAL
 from truth.imperfect.families import FAMILIES, draw, hidden_of
 
@@ -80,6 +80,19 @@ def test_a_gain_is_hidden_from_where_calibration_and_control_leave_no_other_read
         with monkeypatch.context() as known:
             known.setattr(axis, "TOLERANCES", dict.fromkeys(axis.TOLERANCES, 1e-4))
             assert axis.told(bench, plan, "gain") < least / 3.0
+
+
+def test_of_limits_counts_what_nothing_that_is_open_imitates() -> None:
+    """Fisher's information: coefficients 35 % off, in eight limits, with coefficients known well, badly and not."""
+    depths, change = (5e-3,) * 8, np.repeat([math.log(1.35), 0.0], 8)
+
+    def told(sigma: float, change: np.ndarray = change) -> float:
+        return limits.Known((100.0,) * 8, depths, np.repeat([sigma, 0.0], 8)[:, None]).told(change)
+
+    assert told(0.03) == pytest.approx((math.log(1.35) / 0.0306) ** 2, rel=0.05)
+    assert told(10.0) < 0.01 < told(0.1) < limits.TOLD < told(0.03)
+    one = np.where(np.arange(16) == 0, 0.2, 0.0)
+    assert told(10.0, one) > limits.TOLD
 
 
 def test_a_word_stands_for_effects_of_the_family() -> None:

@@ -235,11 +235,34 @@ def test_brackets_become_limits_and_the_rest_is_said() -> None:
     assert limits[0].depth == pytest.approx(math.sqrt(1.1) * 1e-3)
     assert limits[0].depth_std == pytest.approx(math.log(1.1) / math.sqrt(12.0))
     assert limits[0].frequency == 66.0
+    read = [Trial(300.0, 1.0e-3, False), Trial(300.0, 1.1e-3, True, 66.0, 0.07)]
+    assert bracketed(read)[0][0].frequency_std == 0.07
     assert "400 rpm every cut was stable" in notes[0]
     assert "500 rpm every cut chattered" in notes[1]
     assert "no limit there" in notes[2]
     with pytest.raises(InputError, match="not positive"):
         bracketed([Trial(300.0, 0.0, True)])
+
+
+def test_a_bracket_says_most_of_what_a_limit_is_known_within() -> None:
+    """In steps of 5 % a limit scatters by 1.4 %: what it is trusted to beside that adds a quarter at the most."""
+    step = math.log(1.05) / math.sqrt(12.0)
+    found = KnownLimit(Limit(300.0, 10e-3, step, 100.0, 0.07), 1.0, 1.0)
+    depth, frequency = found.std()
+    assert step < depth < 1.25 * step
+    assert frequency == pytest.approx(0.003 * 100.0, rel=0.05)
+
+
+def test_no_mode_is_missing_inside_the_peak_of_one_that_is_known(plain: CuttingLimits) -> None:
+    """A hammer cannot tell the two apart: it is a compliance of that mode that is wrong."""
+    (missing,) = (c for c in plain.causes if c.id == "missing_mode")
+    f, z, (x, y, _) = plain.machine.frequency[0], plain.machine.damping[0], plain.machine.direction[0]
+    here = {"mode_compliance": 1e-9, "mode_frequency": f, "mode_damping": 0.04, "mode_azimuth": math.atan2(y, x)}
+    assert missing.beyond is not None
+    assert "peak of mode 1" in missing.beyond(here)
+    assert missing.beyond(here | {"mode_frequency": f * (1.0 + 1.5 * z)}) == ""
+    assert missing.beyond(here | {"mode_azimuth": here["mode_azimuth"] + 0.5 * math.pi}) == ""
+    assert missing.beyond(here | {"mode_compliance": 0.0}) == ""
 
 
 def test_bad_limits_are_one_sentence() -> None:
