@@ -64,6 +64,9 @@ class FrfRules:
     )
     contact_spread: float = 10.0  # prior standard deviation of it, over itself: guideways differ by factors
     contact_loss: float = 1.2e-4  # its damping over its stiffness [s]
+    friction_known: float = 0.02  # relative standard deviation of each force of a friction curve that is declared
+    frictional_lag: float = 5e-4
+    """Standard deviation, about none, of the time by which sliding friction follows the speed late [s]."""
     elements: int = 20  # Jenkins elements of a joint with micro-slip
     predictions_kept: int = 20000  # compliances that a family keeps
     modal_kept: int = 4000  # the same of a modal machine, whose compliances are closed form

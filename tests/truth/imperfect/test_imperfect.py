@@ -9,7 +9,7 @@ import pytest
 
 from smfe.campaign import load_campaign
 from truth.imperfect import axis, drive, limits, modal
-from truth.imperfect.bench import MATERIAL
+from truth.imperfect.bench import MATERIAL, instruments
 from truth.imperfect.families import FAMILIES, draw, hidden_of
 
 
@@ -75,11 +75,30 @@ def test_a_gain_is_hidden_from_where_calibration_and_control_leave_no_other_read
         rng = np.random.default_rng(seed)
         bench = axis.drawn(rng, False)
         plan = axis.visits(rng)
-        least = axis.told(bench, plan, "gain")
+        tools = replace(instruments(rng, 4096.0), snr=40.0)
+        least = axis.told(bench, plan, "gain", tools, 1.0)
         assert 4.95 * math.sqrt(2.0) * 0.01 < least < 0.15
         with monkeypatch.context() as known:
             known.setattr(axis, "TOLERANCES", dict.fromkeys(axis.TOLERANCES, 1e-4))
-            assert axis.told(bench, plan, "gain") < least / 3.0
+            assert axis.told(bench, plan, "gain", tools, 1.0) < least / 3.0
+
+
+def test_a_gain_is_hidden_from_where_the_noise_of_its_campaign_and_the_period_of_its_control_let_it_be_told() -> None:
+    """20 dB of noise hide what 40 dB show; samples make Kp and Ti act as larger ones, Kv as a smaller one."""
+    rng = np.random.default_rng(1)
+    bench = axis.drawn(rng, True)
+    plan = axis.visits(rng)
+    tools = instruments(rng, 4096.0)
+    f = np.array([50.0])
+    noise = {snr: axis.noise_of(bench, plan, replace(tools, snr=snr), f)[:, 0] for snr in (20.0, 40.0)}
+    assert noise[20.0] == pytest.approx(10.0 * noise[40.0])
+    by_name = {v.name: x for v, x in zip(plan, noise[40.0], strict=True)}
+    assert by_name["idle_hard"] == pytest.approx(0.25 * by_name["idle"])
+    for name in ("velocity_gain", "integral_time", "position_gain"):
+        quiet, loud = (axis.told(bench, plan, name, replace(tools, snr=snr), -1.0) for snr in (40.0, 20.0))
+        assert loud > 1.05 * quiet
+        other = axis.told(bench, plan, name, replace(tools, snr=40.0), 1.0)
+        assert (quiet > other) == (name != "position_gain")
 
 
 def test_of_limits_counts_what_nothing_that_is_open_imitates() -> None:
