@@ -133,3 +133,20 @@ def test_what_a_control_holds_at_rest_costs_nothing() -> None:
     noise = np.random.default_rng(1).standard_normal(t.size)
     assert drive._unexplained(np.where(moving, 0.0, noise), d, t) == pytest.approx(0.0, abs=1e-9)
     assert drive._unexplained(np.where(moving, noise, 0.0), d, t) == pytest.approx(1.0, rel=0.05)
+
+
+def test_friction_that_falls_with_speed_is_at_most_twice_that_of_sliding_and_is_met_at_low_feeds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = []
+
+    def written(path: Path, d: drive.Drawn, *more: object) -> dict[str, float]:
+        kept.append(d)
+        return {}
+
+    monkeypatch.setattr(drive, "_write", written)
+    hidden = draw("drive", 4, "stribeck", tmp_path).hidden
+    assert hidden["stribeck"] <= 1.001 * hidden["friction"]
+    (d,) = kept
+    v = np.abs(np.gradient(d.target, d.axis.cycle))
+    assert np.mean((v > 0.2 * d.axis.slow) & (v < 2.0 * d.axis.slow)) > 0.1
