@@ -23,6 +23,8 @@ import numpy as np
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from process.types import Complex, Real
+from smfe.diagnosis.frf.changed import Changed, Shaken
+from smfe.diagnosis.frf.joint_in_hits import TIMED, force_in_hits
 
 RAYLEIGH_LOSS = 4.0 / (3.0 * np.pi)
 """Loss factor over loss of stiffness of a joint whose stiffness falls in proportion to the amplitude."""
@@ -33,38 +35,6 @@ DECAYING = (2.0 / 3.0, 0.5)
 RANDOM = (0.75 * math.sqrt(math.pi), 2.0)
 """The same of a random vibration over the amplitude of a sine of its rms and the square of that: its amplitude has
 Rayleigh's distribution (statistical linearisation: Caughey, J. Acoust. Soc. Am. 35, 1963)."""
-
-
-class Changed(NamedTuple):
-    """A modal machine with all that has been changed; alike for values that change nothing."""
-
-    frequency: tuple[float, ...]  # of each mode [Hz]
-    damping: tuple[float, ...]  # of each mode [1]
-    stiffness: tuple[float, ...]  # of each mode [N/m]
-    direction: tuple[float, ...]  # mode vectors, one after the other, length 3 M
-    springs: tuple[float, ...] = ()  # S, length M^2, or empty
-    gyroscopic: tuple[float, ...] = ()  # G [1/Hz], length M^2, or empty
-    mass: float = 0.0  # at the tool [kg]
-    slip: tuple[float, ...] = ()
-    hardening: tuple[float, ...] = ()
-    """Joint: share of the stiffness of a mode that is lost, or gained, at the amplitude of reference if the mode moves
-    nothing else; its unit vector v."""
-    mode: tuple[float, ...] = ()
-    """A further mode: its compliance along x, y, z as ``sqrt(m/N)``, its frequency and damping, 0."""
-    residual: tuple[float, ...] = ()  # compliance of what is above the band: xx, yy, zz, xy, yz, zx [m/N]
-    iwan: tuple[float, ...] = ()
-    """Joint whose elements have a largest travel (Iwan 1966): share of the stiffness of a mode that they are, amplitude
-    over that of reference at which all of them slip, its unit vector v."""
-
-
-class Shaken(NamedTuple):
-    """How hard a machine is shaken."""
-
-    method: str  # impact, or sine or multisine: "hammer" or "actuator"
-    level: float  # impulse [N s], or amplitude of a sine of the same rms [N]
-    reference: float  # amplitude of reference in scaled coordinates [sqrt(J)]
-    power: Real | None = None
-    """Share of the power of a multisine that each line stands for, (f,); None: one sine after another."""
 
 
 def unchanged(model: ModalModel) -> Changed:
@@ -82,14 +52,35 @@ def full_compliance(machine: Changed, frequency: Real, shaken: Shaken) -> Comple
 
     Raises InputError when a stiffness is negative, or a vibration has no single amplitude.
     """
-    own, coupling, shape = in_mode_space(machine, frequency)
-    if machine.mass:
-        square = (2.0 * np.pi * frequency[:, None, None]) ** 2 * machine.mass * (shape @ shape.T)
-        coupling = -square.astype(complex) if coupling is None else coupling - square
+    own, coupling, shape = with_mass(machine, frequency)
     phi = shape.T @ answers(own, coupling, shape)
-    for joint in joints(machine):
+    for one in timed(machine, shaken):
+        joint, force = joints(one)[0], force_in_hits(one, frequency, shaken)
+        into = answers(own, coupling, joint.vector[:, None])[:, :, 0]
+        phi = phi - (into @ shape)[:, :, None] * force[:, None, :]
+    for joint in joints(untimed(machine, shaken)):
         phi = phi - _through_joint(machine, own, coupling, shape, shaken, joint)
     return np.asarray(phi + left_out(machine, frequency))
+
+
+def timed(machine: Changed, shaken: Shaken) -> list[Changed]:
+    """Return the machine with each joint alone whose force is simulated in time."""
+    if shaken.method != "hammer" or shaken.duration <= 0.0:
+        return []
+    alone = linear(machine)
+    return [alone._replace(**{name: joint}) for name in TIMED if (joint := getattr(machine, name))]
+
+
+def untimed(machine: Changed, shaken: Shaken) -> Changed:
+    """Return the machine without the joints whose force is simulated in time."""
+    if shaken.method != "hammer" or shaken.duration <= 0.0:
+        return machine
+    return machine._replace(hardening=(), iwan=())
+
+
+def linear(machine: Changed) -> Changed:
+    """Return the machine without any joint that is not linear."""
+    return machine._replace(slip=(), hardening=(), iwan=())
 
 
 def in_mode_space(machine: Changed, frequency: Real) -> tuple[Complex, Complex | None, Real]:
@@ -110,6 +101,15 @@ def in_mode_space(machine: Changed, frequency: Real) -> tuple[Complex, Complex |
     if machine.gyroscopic:
         turning = 1j * f * np.array(machine.gyroscopic).reshape(count, count)
         coupling = turning if coupling is None else coupling + turning
+    return own, coupling, shape
+
+
+def with_mass(machine: Changed, frequency: Real) -> tuple[Complex, Complex | None, Real]:
+    """Return the same as `in_mode_space`, with the mass that the tool carries."""
+    own, coupling, shape = in_mode_space(machine, frequency)
+    if machine.mass:
+        square = (2.0 * np.pi * frequency[:, None, None]) ** 2 * machine.mass * (shape @ shape.T)
+        coupling = -square.astype(complex) if coupling is None else coupling - square
     return own, coupling, shape
 
 

@@ -20,7 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from process.types import Complex, Real
-from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, answers, in_a_hit, in_mode_space, joints, stiffness_of
+from smfe.diagnosis.frf.changed import Changed, Shaken
+from smfe.diagnosis.frf.joint_in_hits import TIMED, force_in_hits
+from smfe.diagnosis.frf.modal_dynamics import answers, in_a_hit, joints, linear, stiffness_of, timed, untimed, with_mass
 
 Part = tuple[str, int, int]
 """A number that a machine is made of: ``frequency`` r, ``damping`` r, ``direction`` r along an axis, ``spring`` r s,
@@ -30,7 +32,7 @@ LOOSE = ("slip", "hardening", "iwan")
 """Fields of a machine with its joints that are not linear."""
 
 STEP = 1e-5
-"""Half of the step of the differences of a joint's stiffness, relative: a smooth function of a few numbers."""
+"""Step of differences of smooth functions of a few numbers, relative."""
 
 
 class JointChange(NamedTuple):
@@ -47,8 +49,8 @@ def part_slopes(machine: Changed, frequency: Real, shaken: Shaken, parts: Sequen
 
     A machine that is not linear has to be hit: then its joints have one amplitude.
     """
-    there = [name for name in LOOSE if getattr(machine, name)]
-    alone = machine._replace(slip=(), hardening=(), iwan=())
+    rest, alone = untimed(machine, shaken), linear(machine)
+    there = [name for name in LOOSE if getattr(rest, name)]
     out = np.zeros((len(parts), frequency.size, 3, 3), dtype=complex)
     for name in there:
         one = _with(alone, name, getattr(machine, name))
@@ -57,24 +59,108 @@ def part_slopes(machine: Changed, frequency: Real, shaken: Shaken, parts: Sequen
         out += state.through_joint(shaken, parts)
     if len(there) != 1:
         out += (1 - len(there)) * _State.of(alone, frequency, None).slopes(parts)
+    for one in timed(machine, shaken):
+        out -= _of_timed(one, frequency, shaken, parts)
     return out
 
 
 def joint_slopes(machine: Changed, frequency: Real, shaken: Shaken, changes: Sequence[JointChange]) -> Complex:
     """Return the changes of the compliance with some joints, shape (changes, f, 3, 3)."""
-    alone = machine._replace(slip=(), hardening=(), iwan=())
+    alone = linear(machine)
     out = np.zeros((len(changes), frequency.size, 3, 3), dtype=complex)
     for name in LOOSE:
         mine = [n for n, c in enumerate(changes) if c.joint == name]
-        if mine:
-            one = _with(alone, name, getattr(machine, name))
-            state = _State.of(one, frequency, springs_of(one, shaken) if getattr(machine, name) else None)
-            found = []
+        if not mine:
+            continue
+        if name in TIMED and shaken.duration > 0.0:
             for n in mine:
-                less, more = (springs_of(_with(alone, name, x), shaken) for x in (changes[n].below, changes[n].above))
-                found.append((more - less) / changes[n].step)
-            out[mine] = state.through_springs(np.array(found))
+                like = _with(alone, name, getattr(machine, name) or changes[n].above)
+                less, more = (
+                    _taken(_with(alone, name, x), frequency, shaken, like) if x else 0.0
+                    for x in (changes[n].below, changes[n].above)
+                )
+                out[n] -= (more - less) / changes[n].step
+            continue
+        one = _with(alone, name, getattr(machine, name))
+        state = _State.of(one, frequency, springs_of(one, shaken) if getattr(machine, name) else None)
+        found = []
+        for n in mine:
+            less, more = (springs_of(_with(alone, name, x), shaken) for x in (changes[n].below, changes[n].above))
+            found.append((more - less) / changes[n].step)
+        out[mine] = state.through_springs(np.array(found))
     return out
+
+
+def _taken(machine: Changed, frequency: Real, shaken: Shaken, like: Changed) -> Complex:
+    """Return what the one joint of a machine takes from its compliance in hits, shape (f, 3, 3)."""
+    own, coupling, shape = with_mass(machine, frequency)
+    into = answers(own, coupling, joints(machine)[0].vector[:, None])[:, :, 0] @ shape
+    return np.asarray(into[:, :, None] * force_in_hits(machine, frequency, shaken, like=like)[:, None, :])
+
+
+def _of_timed(machine: Changed, frequency: Real, shaken: Shaken, parts: Sequence[Part]) -> Complex:
+    """Return the changes with some parts of what the one joint of a machine takes in hits, shape (parts, f, 3, 3).
+
+    With ``z = D^-1 v`` that is ``V_i^T z S_e``; the force S over that of a hit changes by a difference of simulations.
+    """
+    own, coupling, shape = with_mass(machine, frequency)
+    vector = joints(machine)[0].vector[:, None]
+    to = (_backwards if machine.gyroscopic else answers)(own, coupling, shape)
+    by = answers(own, coupling, vector)[:, :, 0]
+    force, into = force_in_hits(machine, frequency, shaken), by @ shape
+    natural, length = np.array(machine.frequency), np.sqrt(np.array(machine.stiffness))
+    square = ((2.0 * np.pi * frequency) ** 2)[:, None]
+    ratio = frequency[:, None] / natural
+    by_frequency = (2.0 * ratio**2 - 2j * np.array(machine.damping) * ratio) / natural
+    of_tool = np.eye(3) + machine.mass * square[..., None] * np.einsum("fri,rk->fik", to, shape)
+    out = np.zeros((len(parts), frequency.size, 3, 3), dtype=complex)
+    for one, (what, r, s) in zip(out, parts, strict=True):
+        axes: tuple[int, ...] = (0, 1, 2)
+        if what == "frequency":
+            direct = -by_frequency[:, r, None] * to[:, r] * by[:, r, None]
+        elif what == "damping":
+            direct = -2j * ratio[:, r, None] * to[:, r] * by[:, r, None]
+        elif what == "direction":
+            carried = machine.mass * square * into[:, s, None]
+            direct, axes = (of_tool[:, :, s] * by[:, r, None] + to[:, r] * carried) / length[r], (s,)
+        elif what == "spring":
+            direct = -to[:, r] * by[:, s, None] - (to[:, s] * by[:, r, None] if r != s else 0.0)
+        elif what == "gyroscopic":
+            direct = -1j * frequency[:, None] * (to[:, r] * by[:, s, None] - to[:, s] * by[:, r, None])
+        else:
+            direct = square * np.einsum("fri,rk,fk->fi", to, shape, into)
+        one += direct[:, :, None] * force[:, None, :]
+        moved, step = _moved(machine, (what, r, s))
+        more = force_in_hits(moved, frequency, shaken, axes, like=machine)
+        one[:, :, list(axes)] += into[:, :, None] * ((more - force[:, list(axes)]) / step)[:, None, :]
+    return out
+
+
+def _moved(machine: Changed, part: Part) -> tuple[Changed, float]:
+    """Return a machine one of whose parts has been changed a little, and by how much."""
+    what, r, s = part
+    count = len(machine.frequency)
+    if what in ("frequency", "damping"):
+        values = list(getattr(machine, what))
+        step = STEP * values[r]
+        values[r] += step
+        return machine._replace(**{what: tuple(values)}), step  # type: ignore[arg-type]
+    if what == "direction":
+        along = list(machine.direction)
+        along[3 * r + s] += STEP
+        return machine._replace(direction=tuple(along)), STEP
+    if what in ("spring", "gyroscopic"):
+        name = "springs" if what == "spring" else what
+        matrix = np.array(getattr(machine, name) or np.zeros(count**2)).reshape(count, count)
+        step = STEP if what == "spring" else STEP / math.sqrt(machine.frequency[r] * machine.frequency[s])
+        matrix[r, s] += step
+        if r != s:
+            matrix[s, r] += step if what == "spring" else -step
+        return machine._replace(**{name: tuple(matrix.ravel().tolist())}), step  # type: ignore[arg-type]
+    shape = np.array(machine.direction).reshape(count, 3) / np.sqrt(np.array(machine.stiffness))[:, None]
+    w = 2.0 * np.pi * np.array(machine.frequency)
+    step = STEP / float(np.max(w**2 * np.sum(shape**2, axis=1)))
+    return machine._replace(mass=machine.mass + step), step
 
 
 def _with(machine: Changed, name: str, joint: tuple[float, ...]) -> Changed:
@@ -104,10 +190,7 @@ class _State(NamedTuple):
     @classmethod
     def of(cls, machine: Changed, frequency: Real, springs: Complex | None) -> _State:
         """Return it for a machine with more springs, (3, M, M), or none."""
-        own, coupling, shape = in_mode_space(machine, frequency)
-        if machine.mass:
-            square = (2.0 * np.pi * frequency[:, None, None]) ** 2 * machine.mass * (shape @ shape.T)
-            coupling = -square.astype(complex) if coupling is None else coupling - square
+        own, coupling, shape = with_mass(machine, frequency)
         if springs is None:
             by = answers(own, coupling, shape)
             back = by if not machine.gyroscopic else _backwards(own, coupling, shape)

@@ -20,7 +20,8 @@ from process.machine.modes import ModalModel
 from process.types import Complex, Real
 from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.frf.causes import AXES, OF_DECLARED, RESIDUAL, TWICE, modal_causes, pairs, vector
-from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, amplitude, full_compliance, left_out, unchanged
+from smfe.diagnosis.frf.changed import Changed, Shaken
+from smfe.diagnosis.frf.modal_dynamics import amplitude, full_compliance, left_out, unchanged
 from smfe.diagnosis.frf.modal_slopes import LOOSE, STEP, JointChange, Part, joint_slopes, part_slopes
 from smfe.diagnosis.frf.noise import Excited, excited_of, kept
 from smfe.diagnosis.frf.rules import RULES
@@ -299,7 +300,7 @@ class ModalFrfs(Abilities):
             if machine is None:
                 inverse = -((free + carried) * (2.0 * np.pi * excited.frequency[:, None, None]) ** 2)
                 return np.asarray(np.eye(3) / inverse, dtype=complex)
-            shaken = self._shaken(excited, excited.frequency)
+            shaken = self._measured(excited)
             make = partial(self.compliance, machine, slides, excited.frequency, shaken)
             return kept(self._at_tool, (excited, machine, slides), make, RULES.modal_kept)
 
@@ -337,7 +338,7 @@ class ModalFrfs(Abilities):
             more = np.array([-self._accelerometers(condition) / carried if n == "sensor_mass" else 0.0 for n in names])
             tool = more[:, None, None, None] * phi
         else:
-            machine, shaken = self.changed(condition, values), self._shaken(excited, frequency)
+            machine, shaken = self.changed(condition, values), self._measured(excited)
             make = partial(self.compliance, machine, self.slides(condition, values), frequency, shaken)
             phi = kept(self._at_tool, (excited, machine, ()), make, RULES.modal_kept)
             tool = self._tool_slopes(condition, values, names, machine, shaken)
@@ -513,6 +514,11 @@ class ModalFrfs(Abilities):
         if self._levels[0].level != self._levels[1].level:
             found.append(Standing(hardest=True))
         return tuple(found)
+
+    def _measured(self, excited: Excited) -> Shaken:
+        """Return how hard a machine was shaken where it was measured: a joint is followed through a hit in time."""
+        shaken = self._shaken(excited, excited.frequency)
+        return shaken._replace(duration=excited.duration) if excited.method == "hammer" else shaken
 
     def _shaken(self, excited: Excited, frequency: Real) -> Shaken:
         """Return how hard a machine is shaken, for its compliance at some frequencies [Hz]."""

@@ -68,6 +68,13 @@ class FrfRules:
     frictional_lag: float = 5e-4
     """Standard deviation, about none, of the time by which sliding friction follows the speed late [s]."""
     elements: int = 20  # Jenkins elements of a joint with micro-slip
+    hit_elements: int = 40  # the same in hits on modes: each that begins to slip bends a slope a little
+    steps_a_period: float = 16.0  # of the highest mode that moves a joint in a hit: 1 % of what the joint does
+    died_away: float = 0.03  # amplitude of the slowest mode over its first at which the simulation of a hit ends
+    least_steps: int = 64  # of such a simulation
+    most_steps: int = 20000
+    least_pulse: float = 2.0  # steps of the shortest hit: a shorter one is an impulse to the machine
+    excited: float = 0.1  # spectrum of a hit over its impulse below which nothing is asked of a joint
     predictions_kept: int = 20000  # compliances that a family keeps
     modal_kept: int = 4000  # the same of a modal machine, whose compliances are closed form
     machines_kept: int = 40  # machines that are kept with what was prepared for their hits

@@ -29,16 +29,8 @@ from typing import NamedTuple
 import numpy as np
 
 from process.types import Complex, Real
-from smfe.diagnosis.frf.modal_dynamics import (
-    Changed,
-    Joint,
-    Shaken,
-    answers,
-    in_mode_space,
-    joints,
-    left_out,
-    stiffness_of,
-)
+from smfe.diagnosis.frf.changed import Changed, Shaken
+from smfe.diagnosis.frf.modal_dynamics import Joint, answers, in_mode_space, joints, left_out, stiffness_of
 
 
 class Slide(NamedTuple):

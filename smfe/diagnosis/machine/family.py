@@ -18,7 +18,7 @@ import numpy as np
 from process.labels import AXES
 from process.types import Complex, Real
 from smfe.diagnosis.frf.causes import OF_DECLARED, RESIDUAL
-from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken
+from smfe.diagnosis.frf.changed import Changed, Shaken
 from smfe.diagnosis.frf.modes import JOINTS, ModalFrfs
 from smfe.diagnosis.frf.noise import Excited, excited_of, kept
 from smfe.diagnosis.frf.workshop import SENSORS, measured

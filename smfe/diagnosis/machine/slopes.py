@@ -21,7 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from process.types import Complex, Real
-from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, joints, left_out, stiffness_of
+from smfe.diagnosis.frf.changed import Changed, Shaken
+from smfe.diagnosis.frf.modal_dynamics import joints, left_out, stiffness_of
 from smfe.diagnosis.frf.noise import kept
 from smfe.diagnosis.machine.dynamics import Slide, bounded
 

@@ -9,6 +9,8 @@ import pytest
 from exam.modal import ALL, NAMES, PAIRS, draw, family, machine, pair
 from samples.isolability import isolability
 from scipy.integrate import solve_ivp
+from truth.imperfect.modal import Machine as Loose
+from truth.imperfect.modal import State, in_time
 from truth.modal_machine import (
     LINES,
     NOMINAL_LEVEL,
@@ -27,7 +29,8 @@ from process.errors import InputError
 from process.machine.modes import ModalModel
 from smfe.diagnosis.cases.experiments import PROPOSALS, proposed_modal_experiments
 from smfe.diagnosis.frf.causes import vector
-from smfe.diagnosis.frf.modal_dynamics import DECAYING, Changed, Shaken, full_compliance, unchanged
+from smfe.diagnosis.frf.changed import Changed, Shaken
+from smfe.diagnosis.frf.modal_dynamics import DECAYING, full_compliance, unchanged
 from smfe.diagnosis.frf.modes import ModalFrfs
 from smfe.diagnosis.frf.noise import Excited
 from smfe.diagnosis.inference.fit import Target
@@ -153,9 +156,41 @@ class TestClosedForms:
         one = Changed((f,), (z,), (k,), (1.0, 0.0, 0.0), hardening=(strength, 1.0))
         found = full_compliance(one, lines, Shaken("hammer", level, start))[:, 0, 0]
         assert away(found, truth) < 0.5 * away(linear, truth)
+        followed = full_compliance(one, lines, Shaken("hammer", level, start, duration=1e-4))[:, 0, 0]
+        assert away(followed, truth) < 0.05 * away(linear, truth)
         decay = np.exp(-z * w * t)
         means = [float(np.sum(decay ** (2 + n)) / np.sum(decay**2)) for n in (1, 2)]
         assert means == pytest.approx(list(DECAYING), rel=0.01)
+
+    @pytest.mark.parametrize("law", ["cubic", "elements"])
+    def test_a_joint_is_followed_through_a_hit(self, law: str) -> None:
+        """Matrices, Runge-Kutta and sixteen Jenkins elements there: one stiffness leaves a third of what they do."""
+        built, rate, level = machine(1)[0], 8000.0, 2.0
+        spring, k = built.springs[0]
+        v = (shapes(built) * signs(built)).T @ spring
+        length = float(np.linalg.norm(v))
+        travel = 2.0 * level / math.sqrt(k * 90.0)
+        loose = Loose(built, np.zeros((3, len(spring))), travel=travel)
+        loose = replace(loose, **({"hard": 0.8 * k / travel**2} if law == "cubic" else {"loose": 0.3}))
+        t = np.arange(round(1.5 * rate)) / rate
+        force = np.zeros((len(spring), t.size))
+        force[0] = np.where(t < 4e-3, np.sin(np.pi * t / 4e-3), 0.0)
+        force[0] *= level * rate / force[0].sum()
+        turn = np.exp(-2j * np.pi * np.outer(LINES, t))
+        truth = (turn @ in_time(loose, State(), force, rate)[:3].T) / (turn @ force[0])[:, None]
+        truth = truth / -((2.0 * np.pi * LINES[:, None]) ** 2)
+        if law == "cubic":
+            joint = {"hardening": (0.8 * 0.75 * k * length**2, *(v / length))}
+        else:
+            joint = {"iwan": (0.3 * k * length**2, 1.0, *(v / length))}
+        changed = plain(built)._replace(**joint)  # type: ignore[arg-type]
+        linear, one, found = (
+            full_compliance(m, LINES, Shaken("hammer", level, travel / length, duration=d))[:, :, 0]
+            for m, d in ((plain(built), 0.0), (changed, 0.0), (changed, 4e-3))
+        )
+        assert away(linear, truth) > 0.1
+        assert away(found, truth) < 0.06 * away(linear, truth)
+        assert away(one, truth) > 0.2 * away(linear, truth)
 
     def test_what_is_not_a_machine_is_refused(self, ram: Ram) -> None:
         count = ram.mass.shape[0]

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from truth.imperfect.modal import _march
 
-from smfe.diagnosis.frf.modal_dynamics import Changed, Shaken, amplitude, full_compliance
+from smfe.diagnosis.frf.changed import Changed, Shaken
+from smfe.diagnosis.frf.modal_dynamics import amplitude, full_compliance
 
 FREQUENCY, DAMPING, STIFFNESS = 40.0, 0.03, 2e7
 RATE, PERIOD = 1024.0, 8.0

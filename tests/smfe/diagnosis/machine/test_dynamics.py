@@ -13,7 +13,8 @@ from process.machine.machine import FeedAxis, Machine
 from process.machine.modes import ModalModel
 from process.machine.structure import released_modes
 from smfe.campaign.tolerances import Tolerances
-from smfe.diagnosis.frf.modal_dynamics import Shaken, full_compliance, unchanged
+from smfe.diagnosis.frf.changed import Shaken
+from smfe.diagnosis.frf.modal_dynamics import full_compliance, unchanged
 from smfe.diagnosis.machine.axes import DeclaredAxis, Gains, nuisances, sides_of, slide
 from smfe.diagnosis.machine.causes import axis_causes
 from smfe.diagnosis.machine.dynamics import Slide, bounded, moving_compliance, unbounded
