@@ -81,9 +81,14 @@ class PeriodicCut:
         followed = [at for c in near if (at := self._settled(c.angle, 1.0 / c.depth)) is not None]
         if self._first(found := _apart(followed, math.inf)):
             return found
-        angles, curve = angle_grid(self.system.turn, RULES.angles_of_circle), self.dense.crossing_values
-        if self._first(found := self._newton(angles, curve(angles), deepest)):
-            return found
+        curve = self.dense.crossing_values
+        # Of a cut far stiffer than the one that was measured the first is deeper than any that is looked for.
+        for count, depths in ((1, (deepest, RULES.far_deeper * deepest)), (RULES.finer, (RULES.far_deeper * deepest,))):
+            angles = angle_grid(self.system.turn, count * RULES.angles_of_circle)
+            values = curve(angles)
+            for depth in depths:
+                if self._first(found := self._newton(angles, values, depth)):
+                    return found
         return find_crossings(curve, angles)
 
     def _first(self, found: Sequence[Crossing]) -> bool:

@@ -509,7 +509,15 @@ def _catalogue(machine: ModalModel, flank: float) -> tuple[Cause, ...]:
     ]
     if both:
         turn = each("coupling", "deg", 0.03, -0.8, 0.8, 180.0 / math.pi)
-        found.append(Cause("cross_axis_coupling", "directions of the modes: axes that are coupled", turn))
+        # Where another lobe comes to govern a limit has a kink: no slope leads from there to a turn of some size.
+        count = machine.frequency.size
+        starts = tuple(
+            tuple(sign * RULES.turned * (r == turned) for r in range(count))
+            for turned in range(count)
+            for sign in (1.0, -1.0)
+        )
+        title = "directions of the modes: axes that are coupled"
+        found.append(Cause("cross_axis_coupling", title, turn, starts=starts))
     return (*found, _missing(machine))
 
 

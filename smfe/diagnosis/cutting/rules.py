@@ -57,6 +57,8 @@ class CuttingRules:
     spare_steps: float = 7.0  # beyond those: the limits are then well within the `limit_floor` of converged ones
     even_steps: int = 6  # the steps are a multiple of it, so that a parameter that moves hardly changes the mesh
     angles_of_circle: int = 16  # of the multiplier at which crossings are looked for, besides those about the modes
+    finer: int = 4  # times as many where these do not find the first one
+    far_deeper: float = 8.0  # depth, over the one down to which crossings are looked for, where there is none
     alike: float = 0.02  # relative difference of zero-order and converged chatter frequency of one crossing
     frequency_floor: float = 0.003  # of a chatter frequency, relative: a cut that chatters is deeper than the limit
     near: float = 0.1  # share by which a crossing deeper than the first may be the one that was observed
@@ -70,6 +72,7 @@ class CuttingRules:
     kept_cuts: int = 200  # converged limits that are kept for their slopes
     in_a_peak: float = 0.1
     """Share of the compliance of a mode along another in whose peak it lies from which it is not seen apart from it."""
+    turned: float = 0.4  # angle of one mode from which a fit of coupled axes begins, either way [rad]
     flank_friction: float = 0.3  # friction coefficient between flank and work
     minutes: float = 20.0  # to bracket a limit
 

@@ -318,11 +318,12 @@ def _planned(rng: np.random.Generator, seed: int, hidden: tuple[str, ...], scale
             cost = size
         else:
             size, _ = bench.raised(size, price, what.switch, MOST[name] / what.size)
-            while open_.told(change := open_.change(now, turned_to(size)), others) < TOLD:
+            while (seen := open_.told(change := open_.change(now, turned_to(size)), others)) < TOLD:
                 if abs(size) * 1.12 > MOST[name]:
                     told = False
                     break
-                size *= 1.12
+                # The noncentrality goes with the square of a size.
+                size *= min(max(math.sqrt(TOLD / max(seen, 1e-9)), 1.12), 1.5, MOST[name] / abs(size))
             others, cost = [change], price(size)
             told = told and cost > bench.MATERIAL
             if scale != 1.0:

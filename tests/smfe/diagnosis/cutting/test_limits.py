@@ -13,6 +13,7 @@ from process.cut.force import CuttingCoefficients, ProcessDamping
 from process.cut.tool import Tool
 from process.errors import InputError
 from process.machine.modes import ModalModel
+from smfe.diagnosis.cutting import converged
 from smfe.diagnosis.cutting.converged import PeriodicCut
 from smfe.diagnosis.cutting.limits import CuttingLimits, KnownLimit, Limit, Trial, bracketed, limit_family
 from smfe.diagnosis.cutting.rules import RULES
@@ -242,6 +243,30 @@ def test_brackets_become_limits_and_the_rest_is_said() -> None:
     assert "no limit there" in notes[2]
     with pytest.raises(InputError, match="not positive"):
         bracketed([Trial(300.0, 0.0, True)])
+
+
+def test_the_first_crossing_is_found_where_all_are_far_deeper_than_what_was_measured(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a machine ten times as stiff limits are ten times as deep: no search over all angles is needed for that."""
+    mill = Mill(teeth=2)
+    cut = Cut(Tool(mill.diameter, mill.teeth), Engagement(mill.entry, mill.leave), CuttingCoefficients(1.9e9, 0.8e9, 0))
+    machine = as_machine(mill)
+    here = PeriodicCut.of(machine, cut, 1100.0)
+    first = here.crossings(0.1)[0]
+    stiff = PeriodicCut.of(replace(machine, stiffness=10.0 * machine.stiffness), cut, 1100.0)
+    monkeypatch.setattr(converged, "find_crossings", lambda *_: pytest.fail("searched over all angles"))
+    found = stiff.crossings(2.0 * first.depth)[0]
+    assert found.depth == pytest.approx(10.0 * first.depth, rel=1e-6)
+
+
+def test_coupled_axes_are_looked_for_at_a_turn_of_each_mode(plain: CuttingLimits) -> None:
+    """Beyond a kink of the limits, where another lobe governs, no slope leads from no turn to one of 25 degrees."""
+    (coupled,) = (c for c in plain.causes if c.id == "cross_axis_coupling")
+    turned = np.array(coupled.starts)
+    count = plain.machine.frequency.size
+    assert turned.shape == (2 * count, count)
+    assert set(map(tuple, np.sign(turned))) == set(map(tuple, np.vstack([np.eye(count), -np.eye(count)])))
 
 
 def test_a_bracket_says_most_of_what_a_limit_is_known_within() -> None:
