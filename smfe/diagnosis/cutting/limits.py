@@ -229,6 +229,11 @@ class CuttingLimits(Abilities):
         common = Parameter("scale_error", "%", 0.0, 0.5 * sd, -0.8, 4.0, sd, 100.0, *of, said=said)
         return (*modes, common, *material_nuisances(self.tolerances, "force_coefficients" in self.stated))
 
+    @property
+    def masks(self) -> bool:
+        """Every limit goes with one over the coefficients, and whatever else is wrong raises or lowers many of them."""
+        return True
+
     def squared_size(self, condition: Condition, misfit: Real) -> float:
         """Return the square of the relative error of the limit depth, for a whitened misfit."""
         return float((misfit[0] * _known(condition).std()[0]) ** 2)

@@ -138,6 +138,11 @@ class Abilities(Protocol):
         """Whether a misfit matters that is large in one condition alone; else its rms over all of them counts."""
         return False
 
+    @property
+    def masks(self) -> bool:
+        """Whether a cause may hide from what was declared, and that from it: data of few values that all move alike."""
+        return False
+
     def measured_noise(self, condition: Condition) -> Real | None:
         """Return the standard deviation of the noise in whitened data that was measured, (n,); None: all of it.
 

@@ -201,6 +201,11 @@ def contradicted(model: Model, target: Target, at: Fit, size: Size, material: fl
     return _released(Declared.of(model, target, at), size, material)
 
 
+def masking(model: Model, target: Target, at: Fit, size: Size, material: float) -> list[Released]:
+    """Return what would be contradicted if all that a fit leaves were the work of causes that are not in it yet."""
+    return _released(replace(Declared.of(model, target, at), over=1.0), size, material)[:1]
+
+
 def slightly_off(model: Model, target: Target, at: Fit) -> list[Released]:
     """Return the groups that the data put beyond what was declared, whatever that is worth."""
     linear = Declared.of(model, target, at)

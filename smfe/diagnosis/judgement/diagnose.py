@@ -22,7 +22,7 @@ from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import cosines, groups, inside
 from smfe.diagnosis.inference.thresholds import charge, combined_gain, covariances_of_noise, detectable, parameters_of
 from smfe.diagnosis.inference.workers import Helpers
-from smfe.diagnosis.judgement.declared import Released, Size, Strain, contradicted, slightly_off, strained
+from smfe.diagnosis.judgement.declared import Released, Size, Strain, contradicted, masking, slightly_off, strained
 from smfe.diagnosis.judgement.finding import (
     Estimate,
     Finding,
@@ -64,7 +64,9 @@ def diagnose(
     once more, with that cause, and searched again from the fits that are known by then; a third time if that search
     finds other causes. Where the data contradict what was declared, that is released and all searched once more; it
     stays so if conditions that no fit uses bear it out. What was declared wrongly also stands in for causes that fit no
-    better for their parameters.
+    better for their parameters. Where neither a cause nor a declared value alone is it, each may hide the
+    other (`Abilities.masks`): what is declared is released while causes are looked for, and stays so with one that
+    explains the rest.
 
     Parameters
     ----------
@@ -112,6 +114,9 @@ def diagnose(
             assumed, known = at.causes, dict(bench.fits)
             conditions = family.as_found(bench.model.values(at.u))
         declared, objection = _contradicted(bench, at, worth), ""
+        masked = not declared and not at.causes and family.masks and bench.bad(at)
+        if masked:
+            declared = masking(bench.model, bench.target, at, _size_of(bench, worth), worth.material)
         unproven: list[Released] = []
 
         def released_bench(released: Sequence[Released], like: Bench = bench) -> Bench:
@@ -123,7 +128,9 @@ def diagnose(
             declared, again = _one_by_one(released_bench, at, declared, worth)
             if again.null().converged:
                 found, more = search(again, begin=at.causes)
-                if _at_limit(again, found):
+                if masked and (not found.causes or again.bad(found) or not _borne_out(again, found, declared)):
+                    declared = []
+                elif _at_limit(again, found):
                     objection, declared = IMPOSSIBLE.format(_at_limit(again, found)), []
                 elif _empty(at, found, declared):
                     declared = []
@@ -135,7 +142,7 @@ def diagnose(
                 else:
                     bench, at, steps = again, found, [*(s for s in steps if s.accepted), *more]
             else:
-                objection, declared = UNFITTED, []
+                objection, declared = "" if masked else UNFITTED, []
         elif at.causes and (declared := _contradicted(bench, bench.null(), worth)):
             # What was declared wrongly may do what the causes found do, with fewer parameters.
             again, _ = _prepared(family, conditions, seed, progress, held_out, helpers, worth, declared)

@@ -10,7 +10,7 @@ from smfe.diagnosis.inference.fit import Target, fit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 from smfe.diagnosis.judgement import diagnose as judgement
-from smfe.diagnosis.judgement.declared import Declared, Released, contradicted
+from smfe.diagnosis.judgement.declared import Declared, Released, contradicted, masking
 from smfe.diagnosis.judgement.diagnose import diagnose
 from smfe.diagnosis.judgement.materiality import Worth, predicted_size
 
@@ -471,3 +471,49 @@ def test_nuisances_that_keep_their_priors_use_up_no_values():
     expected = 2.0 * stats.norm.sf(0.5 / np.hypot(np.sqrt(variance), 0.1))
     assert max(pulls) < 0.001
     assert np.exp(np.median(np.log(pulls))) == pytest.approx(expected, rel=0.5)
+
+
+@dataclass(frozen=True)
+class Levels(Abilities):
+    """Limits at twelve speeds: a harder material lowers all, a flank raises those at low speed and no other."""
+
+    conditions: tuple
+    nuisances: tuple = (declared("hardness", "force_coefficients", 0.03, stated=True),)
+    causes: tuple = (Cause("worn", "a worn flank", (Parameter("worn", "1", 0.0, 0.1, 0.0, 10.0),)),)
+    proposals: tuple = ()
+    masks: bool = True
+
+    def predict(self, condition, values):
+        return np.array([(values.get("worn", 0.0) / condition.settings["speed"] - values["hardness"]) / 0.02])
+
+
+def test_what_is_left_hides_a_declared_value_unless_it_is_laid_to_causes():
+    """A material 15 % too hard, where every other limit is 15 % higher: no cause explains that, and nothing is named.
+
+    With what is left counted as noise the data do not contradict the material; with it laid to a cause they do.
+    """
+    places = tuple(Condition(f"{n} rpm", {"speed": 1.0 + 0.25 * n}) for n in range(12))
+    noise = np.random.default_rng(1).standard_normal(12)
+    true = [Levels(places).predict(c, {"hardness": 0.15})[0] for c in places]
+    observed = np.array(true) + noise + 7.5 * (-1.0) ** np.arange(12)
+    family = Levels(tuple(replace(c, observed=np.array([y])) for c, y in zip(places, observed, strict=True)))
+    model = Model(family, family.conditions)
+    target = Target({n: np.array([y]) for n, y in enumerate(observed)}, model.null())
+    at = fit(model, target, (), model.null())
+    assert contradicted(model, target, at, lambda *_: 1.0, 0.05) == []
+    (released,) = masking(model, target, at, lambda *_: 1.0, 0.05)
+    assert released.given == ("force_coefficients",)
+    found = diagnose(family, worth=WORTH)
+    assert (found.verdict, found.causes) == ("unknown", ())
+
+
+def test_a_declared_value_and_a_cause_are_both_named():
+    """A material a quarter too hard and a flank that lifts the limits at low speed."""
+    places = tuple(Condition(f"{n} rpm", {"speed": 1.0 + 0.25 * n}) for n in range(12))
+    noise = np.random.default_rng(1).standard_normal(12)
+    true = [Levels(places).predict(c, {"hardness": 0.25, "worn": 0.4}) for c in places]
+    seen = tuple(replace(c, observed=y + e) for c, y, e in zip(places, true, noise, strict=True))
+    found = diagnose(Levels(seen), worth=WORTH)
+    assert (found.verdict, set(ids(found))) == ("named", {"force_coefficients", "worn"})
+    healthy = tuple(replace(c, observed=np.array([e])) for c, e in zip(places, noise, strict=True))
+    assert diagnose(Levels(healthy), worth=WORTH).verdict == "consistent"
