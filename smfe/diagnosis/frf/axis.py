@@ -17,6 +17,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
 
 from process.friction.laws import Viscous
 from process.harmonic_balance.quasi_frf import quasi_compliance
@@ -340,10 +341,12 @@ def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, disc
     def hits_of(machine: SimulatedMachine) -> list[Callable[[float], Complex]]:
         return [partial(machine.hit, excited, p, f) for p, f in zip(pulses, spectra, strict=True)]
 
-    if held > 0.0:
-        found = found._replace(stiffness=_local_stiffness(family, found, hits_of, held, hits.compliance, excited.std))
     machine = family.simulated(found)
     states = [at_rest(h, held, y, excited.std) for h, y in zip(hits_of(machine), hits.compliance, strict=True)]
+    if held > 0.0 and sum(s.left for s in states) >= RULES.well * hits.compliance.size:
+        found = found._replace(stiffness=_local_stiffness(family, found, hits_of, held, hits.compliance, excited.std))
+        machine = family.simulated(found)
+        states = [at_rest(h, held, y, excited.std) for h, y in zip(hits_of(machine), hits.compliance, strict=True)]
     each = np.stack([s.compliance for s in states])
     more = (weight * each).sum(axis=0) - machine.compliance(excited)
     mean, unexplained = (weight * hits.compliance).sum(axis=0), hits.compliance - each
@@ -403,14 +406,11 @@ def _local_stiffness(
     def left(times: float) -> float:
         every = hits_of(family.simulated(found._replace(stiffness=times * found.stiffness)))
         return sum(
-            min(float(np.sum(np.abs((hit(p * held) - y) / std) ** 2)) for p in (0.0, -0.6, 0.6))
+            min(float(np.sum(np.abs((hit(p * held) - y) / std) ** 2)) for p in RULES.pulls_roughly)
             for hit, y in zip(every, measured, strict=True)
         )
 
-    tried = {1.0: left(1.0)}
-    if tried[1.0] < RULES.well * measured.size:
-        return found.stiffness
-    tried |= {float(x): left(float(x)) for x in RULES.stiffnesses}
+    tried = {float(x): left(float(x)) for x in (1.0, *RULES.stiffnesses)}
     for apart in (0.05, 0.025, 0.0125):
         best = min(tried, key=lambda x: tried[x])
         tried |= {x: left(x) for x in (best - apart, best + apart)}
@@ -422,6 +422,7 @@ class State(NamedTuple):
 
     pull: float  # of its drive, which the guideway holds [N]
     compliance: Complex  # that the hit finds [m/N], shape (f, entries)
+    left: float  # squares over the noise of a line that it leaves of what was measured
     unsure: Complex | None  # what it changes by as far as the pull is not known, shape (1, f, entries); None: no pull
 
 
@@ -433,18 +434,29 @@ def at_rest(hit: Callable[[float], Complex], held: float, measured: Complex, std
     much it was; what the machine of the data has otherwise must not be taken for that, so that how far the pull is
     known counts as a part of all that it may be.
     """
+
+    def seen(pull: float) -> tuple[float, Complex]:
+        at = hit(pull)
+        return float(np.sum(np.abs((at - measured) / std) ** 2)), at
+
     if held <= 0.0:
-        return State(0.0, hit(0.0), None)
-    pulls = np.linspace(-1.0, 1.0, RULES.pulls) * held
-    found = [hit(float(p)) for p in pulls]
-    far = [float(np.sum(np.abs((x - measured) / std) ** 2)) for x in found]
-    n = int(np.clip(np.argmin(far), 1, pulls.size - 2))
-    apart = pulls[n + 1] - pulls[n]
-    bend, slope = far[n - 1] - 2.0 * far[n] + far[n + 1], 0.5 * (far[n + 1] - far[n - 1])
-    off = np.clip(-slope / bend, -1.0, 1.0) if bend > 0.0 else float(np.argmin(far) - n)
-    pull = float(np.clip(pulls[n] + off * apart, -held, held))
-    at = hit(pull)
-    if float(np.sum(np.abs((at - measured) / std) ** 2)) > min(far):
-        pull, at = float(pulls[np.argmin(far)]), found[int(np.argmin(far))]
-    by_pull = (found[n + 1] - found[n - 1]) / (2.0 * apart)
-    return State(pull, at, RULES.pull * held * by_pull[None])
+        left, at = seen(0.0)
+        return State(0.0, at, left, None)
+    # Most hits come shortly before the slide breaks away or after it: there they tell most, and lie closest.
+    pulls = held * np.sin(0.5 * np.pi * np.linspace(-1.0, 1.0, RULES.pulls))
+    tried = {float(p): seen(float(p)) for p in pulls}
+    n = int(np.argmin([left for left, _ in tried.values()]))
+    around = (float(pulls[max(n - 1, 0)]), float(pulls[min(n + 1, pulls.size - 1)]))
+
+    def left_by(pull: float) -> float:
+        tried[float(pull)] = seen(float(pull))
+        return tried[float(pull)][0]
+
+    minimize_scalar(
+        left_by, bounds=around, method="bounded", options={"xatol": RULES.pull_known * held, "maxiter": RULES.pulls}
+    )
+    pull = min(tried, key=lambda p: tried[p][0])
+    left, at = tried[pull]
+    low, high = (float(np.clip(pull + x * RULES.pull_known * held, -held, held)) for x in (-2.0, 2.0))
+    by_pull = (seen(high)[1] - seen(low)[1]) / (high - low)
+    return State(pull, at, left, RULES.pull * held * by_pull[None])

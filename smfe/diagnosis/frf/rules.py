@@ -53,7 +53,9 @@ class FrfRules:
     """Relative standard deviation of the force at which a guideway lets go, where hits before have shaken it loose."""
     well: float = 20.0  # squares over the noise of a line that hits at rest may leave without their own stiffness
     stiffnesses: tuple[float, ...] = (0.7, 0.8, 0.9, 1.1, 1.2, 1.3)  # that are tried at rest, over that of the values
-    pulls: int = 9  # of the drive on an axis at rest that are tried
+    pulls: int = 9  # of the drive on an axis at rest that are tried first, and at most besides near the best of them
+    pulls_roughly: tuple[float, ...] = (0.0, -0.6, 0.6, -0.95, 0.95)  # ... over what is held, beside other stiffnesses
+    pull_known: float = 0.01  # of what is held, to which a pull is found: 7 % off left five times the noise of a hit
     pull: float = 0.5
     """Standard deviation of the pull of a drive at rest over what its guideway holds: between a servo that has wound up
     evenly (0.58) and one that stands well (0.3)."""

@@ -206,7 +206,7 @@ def test_hits_at_rest_tell_what_the_drive_pulled_as_they_came():
         measured = (turn @ acceleration / RATE / spectrum / -((2.0 * np.pi * LINES) ** 2))[:, None]
         hit = partial(machine.hit, condition.data, Recorded(tuple(force[1:].tolist()), RATE), spectrum)
         state = at_rest(hit, 86.0, measured, condition.data.std)
-        assert state.pull == pytest.approx(pull, abs=8.0)
+        assert state.pull == pytest.approx(pull, abs=2.0)
         for share in far:
             away = hit(share * state.pull) - measured
             far[share].append(np.linalg.norm(away) / np.linalg.norm(measured))
