@@ -45,6 +45,9 @@ class ControlLaw:
     noise: float  # standard deviation of what the law leaves, from the median [N]
     whole: Real  # factors of the columns of `_columns`
     scatter: float = 0.0  # relative standard deviation of the velocity gain by least squares [1]
+    smooth: bool = False
+    """Whether it holds behind moving means over a turn of the mains, up to a constant: sample by sample it leaves the
+    noise of the encoder's differences."""
 
     def lag(self, step: float) -> float:
         """Return the lag of the velocity [s] behind the newest encoder value: half a step and the mean tap."""
@@ -112,7 +115,7 @@ def fit_laws(
     """Find the law of all samples, which shows what was not logged, and that of `fit_gains`, which shows its gains.
 
     Where the second is told and the first has another velocity gain, that has taken the axis for its control (noise of
-    the encoder makes its gains look smaller): what it leaves is no command, and its noise is said to be infinite.
+    the encoder makes its gains look smaller): what it leaves is no command. The second stands for it, smooth.
     """
     law = fit_control_law(reference, position, force, step, gains)
     pulses = unlogged_command(law, reference, position, force, step)[1]
@@ -120,7 +123,7 @@ def fit_laws(
         shown = fit_gains(reference, position, force, step, gains, known)
         if shown is not None and shown.tells(float(np.std(force))):
             same = law.plausible and abs(law.found.velocity / shown.found.velocity - 1.0) <= RULES.same_gain
-            return (law if same else replace(law, noise=math.inf)), shown
+            return (law if same else replace(shown, smooth=True)), shown
     return law, shown
 
 
@@ -149,8 +152,7 @@ def fit_gains(
     """
 
     def passed(values: Real) -> Real:
-        for seconds in RULES.means:
-            values = uniform_filter1d(values, max(round(seconds / step), 1), axis=0)
+        values = _without_mains(values, step)
         return values - uniform_filter1d(values, round(RULES.slow_mean / step), axis=0)
 
     reach = round(RULES.slow_mean / step)
@@ -164,6 +166,13 @@ def fit_gains(
     if np.count_nonzero(used) < RULES.values_each * columns.shape[1]:
         return None
     return _fitted(columns[used], given[used], gains)
+
+
+def _without_mains(values: Real, step: float) -> Real:
+    """Return moving means over a turn of the mains of both kinds."""
+    for seconds in RULES.means:
+        values = uniform_filter1d(values, max(round(seconds / step), 1), axis=0)
+    return values
 
 
 def _fitted(columns: Real, force: Real, gains: Gains) -> ControlLaw:
@@ -275,20 +284,31 @@ def unlogged_command(
 
     A pulse is what stands out by ten standard deviations of the noise, by 2 % of the highest and by a share of the rms
     of the force, `material`, for three samples or more, of medians over five that leave edges where they are; it lasts
-    as long as half of that stands out, so that noise does not break it up. Its height is the median.
+    as long as half of that stands out, so that noise does not break it up. Its height is the median. Of a smooth law a
+    pulse lasts as long as its means are above half of it, and is as high as they become.
     """
     left = force - law.command(reference, position, step)
+    if law.smooth:
+        left = _without_mains(left, step)
+        left -= np.median(left)
     left[: 2 * RULES.taps] = 0.0
     left[left.size - RULES.ahead :] = 0.0
     size = np.abs(median_filter(left, 2 * RULES.shortest_pulse - 1))
-    least = max(RULES.detect * law.noise, RULES.pulse_share * float(size.max()), material * float(np.std(force)))
+    noise = max(law.noise, _spread(left)) if law.smooth else law.noise
+    least = max(RULES.detect * noise, RULES.pulse_share * float(size.max()), material * float(np.std(force)))
     edges = np.flatnonzero(np.diff(np.concatenate(([0], (size > 0.5 * least).astype(np.int8), [0])))).reshape(-1, 2)
-    pulses = tuple(
-        Pulse(float(a * step), float(b * step), float(np.median(left[a:b])))
-        for a, b in edges
-        if np.count_nonzero(size[a:b] > least) >= RULES.shortest_pulse
-    )
-    return left, pulses
+    pulses = []
+    for a, b in edges:
+        if np.count_nonzero(size[a:b] > least) < RULES.shortest_pulse:
+            continue
+        part = slice(a, b)
+        if law.smooth:
+            high = a + np.flatnonzero(size[a:b] > 0.5 * float(size[a:b].max()))
+            part = slice(int(high[0]), int(high[-1]) + 1)
+        top = np.flatnonzero(size[part] > RULES.top * float(size[part].max())) if law.smooth else slice(None)
+        height = float(np.median(left[part][top]))
+        pulses.append(Pulse(float(part.start * step), float(part.stop * step), height))
+    return left, tuple(pulses)
 
 
 def without_line(reference: Real, position: Real, force: Real, step: float, frequency: float | None) -> Real:

@@ -73,6 +73,7 @@ class DriveRules:
     values_absolute: int = 20_000  # values that are enough for them, evenly spaced
     trim: float = 6.0  # standard deviations beyond which a value does not count
     detect: float = 10.0  # standard deviations of a command that was not logged
+    top: float = 0.9  # of the height of a pulse behind moving means, from which it counts as its height
     pulse_share: float = 0.02  # of the highest pulse, from which others count
     shortest_pulse: int = 3  # [samples]
     told: float = 5e-3  # standard deviation of the gains that an exact law shows [1]

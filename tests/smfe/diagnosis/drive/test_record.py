@@ -339,7 +339,27 @@ def test_a_law_that_is_not_that_behind_a_band_pass_shows_no_commands(monkeypatch
     monkeypatch.setattr("smfe.diagnosis.drive.control_law.fit_control_law", lambda *_: wrong)
     other = fit_laws(*channels, Gains(POSITION_GAIN, VELOCITY_GAIN))[0]
     assert len(unlogged_command(replace(wrong, noise=law.noise), *channels)[1]) > 3
+    assert other.smooth
     assert unlogged_command(other, *channels)[1] == ()
+
+
+def test_commands_are_found_behind_moving_means_where_noise_of_the_encoder_hides_them() -> None:
+    """Means over a turn of the mains of both kinds leave the edges of a pulse where half of it is, and its height."""
+    rng, n = np.random.default_rng(3), 20_000
+    r = np.cumsum(np.repeat(rng.choice([-0.1, 0.0, 0.05, 0.1], n // 400), 400)) * STEP
+    r = np.convolve(np.concatenate([np.zeros(39), r]), np.ones(40) / 40.0, mode="valid")
+    q = np.convolve(np.concatenate([np.zeros(29), r]), np.ones(30) / 30.0, mode="valid")
+    q = q + 1e-5 * np.cumsum(rng.standard_normal(n))
+    seen = q + 1e-6 * rng.standard_normal(n)
+    force = VELOCITY_GAIN * (POSITION_GAIN * (r - q) - np.diff(q, prepend=q[0]) / STEP)
+    height = 0.2 * float(np.std(force))
+    channels = r, seen, force + height * (np.arange(n) % 1000 >= 940), STEP
+    gains = Gains(POSITION_GAIN, VELOCITY_GAIN)
+    law = fit_gains(*channels, gains)
+    assert law is not None
+    pulses = unlogged_command(replace(law, smooth=True), *channels)[1]
+    assert [p.begin for p in pulses] == pytest.approx([0.94 + k for k in range(20)], abs=4e-3)
+    assert [p.height for p in pulses] == pytest.approx([height] * 20, rel=0.05)
 
 
 def test_noise_does_not_break_up_a_command_that_was_not_logged() -> None:
