@@ -535,7 +535,12 @@ def _missing(machine: ModalModel) -> Cause:
         Parameter("mode_damping", "%", 0.04, 0.01, 0.005, 0.3, shown=100.0, secondary=True),
         Parameter("mode_azimuth", "deg", 0.0, 0.3, -math.pi, math.pi, shown=180.0 / math.pi, secondary=True),
     )
-    places = np.geomspace(1.05 * low, 0.95 * high, 6)
+    # A mode acts over a few times its damping: further apart a start between two others leads elsewhere. Those inside
+    # a peak are none.
+    least, most = (f * share for f, share in zip((low, high), RULES.missing_from, strict=True))
+    places = np.geomspace(least, most, math.ceil(math.log(most / least) / RULES.missing_step))
+    away = np.abs(places[:, None] / machine.frequency - 1.0) > machine.damping
+    places = places[away.all(axis=1)]
     starts = tuple((0.1 * usual, float(f), 0.04, a) for f in places for a in (0.01, 0.5 * math.pi))
     title = "a mode that the model does not have"
     return Cause("missing_mode", title, parameters, starts=starts, beyond=partial(_inside_a_peak, machine))

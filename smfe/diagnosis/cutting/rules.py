@@ -63,13 +63,15 @@ class CuttingRules:
     frequency_floor: float = 0.003  # of a chatter frequency, relative: a cut that chatters is deeper than the limit
     near: float = 0.1  # share by which a crossing deeper than the first may be the one that was observed
     near_observed: float = 0.02  # relative distance of its frequency from the one observed
-    surely_below: float = 0.985  # share of a first limit at which the cut must be stable
+    surely_below: float = 0.997  # share of a first limit at which the cut must be stable
     loudest: float = 1.0
     """Logarithm of the size of a line over the largest at a crossing by which another may be the one observed: a cut
     chatters with lines that lie a tooth passing apart, and which is the largest depends on where they are measured."""
     not_observed: float = 3.0  # of these together, beyond which a crossing is not the one observed
     deepest_observed: float = 2.0  # depth over that of a limit, down to which its crossings are looked for
     kept_cuts: int = 200  # converged limits that are kept for their slopes
+    missing_from: tuple[float, float] = (1.6, 0.45)  # starts of a missing mode, over the ends of where it may be
+    missing_step: float = 0.1  # logarithm of their distance
     in_a_peak: float = 0.1
     """Share of the compliance of a mode along another in whose peak it lies from which it is not seen apart from it."""
     turned: float = 0.4  # angle of one mode from which a fit of coupled axes begins, either way [rad]

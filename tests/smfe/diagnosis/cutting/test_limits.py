@@ -260,6 +260,16 @@ def test_the_first_crossing_is_found_where_all_are_far_deeper_than_what_was_meas
     assert found.depth == pytest.approx(10.0 * first.depth, rel=1e-6)
 
 
+def test_a_crossing_just_below_the_one_that_is_followed_is_not_overlooked() -> None:
+    """Where two lobes meet the first is 0.7 % below the other: a fit that jumped between them would not end."""
+    mill = Mill(teeth=2)
+    cut = Cut(Tool(mill.diameter, mill.teeth), Engagement(mill.entry, mill.leave), CuttingCoefficients(1.9e9, 0.8e9, 0))
+    here = PeriodicCut.of(as_machine(mill), cut, 646.0)
+    first, other = here.crossings(0.1)[:2]
+    assert 1.004 < other.depth / first.depth < 1.012
+    assert here.crossings(0.1, [other])[0].depth == pytest.approx(first.depth, rel=1e-6)
+
+
 def test_coupled_axes_are_looked_for_at_a_turn_of_each_mode(plain: CuttingLimits) -> None:
     """Beyond a kink of the limits, where another lobe governs, no slope leads from no turn to one of 25 degrees."""
     (coupled,) = (c for c in plain.causes if c.id == "cross_axis_coupling")
@@ -267,6 +277,16 @@ def test_coupled_axes_are_looked_for_at_a_turn_of_each_mode(plain: CuttingLimits
     count = plain.machine.frequency.size
     assert turned.shape == (2 * count, count)
     assert set(map(tuple, np.sign(turned))) == set(map(tuple, np.vstack([np.eye(count), -np.eye(count)])))
+
+
+def test_a_missing_mode_is_looked_for_within_its_width_of_wherever_it_may_be(plain: CuttingLimits) -> None:
+    """Over more than twice its damping, 4 %, a mode does nothing: between two known ones at least one start is near."""
+    (missing,) = (c for c in plain.causes if c.id == "missing_mode")
+    places = np.unique([start[1] for start in missing.starts])
+    f, z = plain.machine.frequency, plain.machine.damping
+    for place in np.geomspace(0.85 * f.min(), 1.3 * f.max(), 50):
+        assert np.abs(places / place - 1.0).min() < 0.08 + z.max()
+    assert not any(np.any(np.abs(p / f - 1.0) < z) for p in places)
 
 
 def test_a_bracket_says_most_of_what_a_limit_is_known_within() -> None:
