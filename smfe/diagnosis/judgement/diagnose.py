@@ -145,11 +145,11 @@ def diagnose(
                 objection, declared = "" if masked else UNFITTED, []
         elif at.causes and (declared := _contradicted(bench, bench.null(), worth)):
             # What was declared wrongly may do what the causes found do, with fewer parameters.
-            again, _ = _prepared(family, conditions, seed, progress, held_out, helpers, worth, declared)
-            found = again.null()
             count = sum(len(r.values[0]) for r in declared)
-            better = found.chi2 + RULES.penalty * count < at.chi2 + charge(bench.model, at.causes)
-            better = better and not _at_limit(again, found)
+            most = at.chi2 + charge(bench.model, at.causes) - RULES.penalty * count
+            again = released_bench(declared)
+            found = again.null(most)
+            better = found.chi2 < most and not _at_limit(again, found)
             if found.converged and better and _borne_out(again, found, declared):
                 bench, at, steps = again, found, []
             else:

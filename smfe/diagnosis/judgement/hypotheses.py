@@ -72,12 +72,15 @@ class Bench:
 
     # --- Fits of a hypothesis.
 
-    def null(self) -> Fit:
-        """Fit the baseline: from its most likely nuisances and, where that does not converge, from others."""
+    def null(self, most: float = np.inf) -> Fit:
+        """Fit the baseline: from its most likely nuisances and, where that does not converge, from others.
+
+        One that will not come below `most`, the largest misfit that would matter, is not followed to its optimum.
+        """
         if () not in self.fits:
             near = self.known.get(())
             start, slope = (self._first(), None) if near is None else (near.u, near.slope)
-            found = fit(self.model, self.target, (), start, slope)
+            found = fit(self.model, self.target, (), start, slope, most)
             rng, mine = self.rng(0), self.model.nuisance
             width = np.minimum(1.0 / np.maximum(self.model.weight, 1.0), 1.0)
             for _ in range(4):

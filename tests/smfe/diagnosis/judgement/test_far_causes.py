@@ -67,6 +67,18 @@ def test_a_fit_begins_at_what_was_declared_where_that_of_the_baseline_has_gone_a
     assert one.model.values(found.u)["held"] == pytest.approx(held, rel=0.05)
 
 
+def test_a_release_that_cannot_do_what_a_cause_does_is_not_followed_to_its_optimum():
+    """Other masses, springs and gains do not hold an axis at rest; where nothing holds it they fit to the end."""
+    for held, given_up in ((6.0, True), (0.0, False)):
+        with_cause = measured(held)
+        most = with_cause.extend(with_cause.null(), (0,)).chi2 + 6.0
+        again = measured(held)
+        again.known = {(): SimpleNamespace(u=again.model.null(), slope=None)}
+        found = again.null(most)
+        assert found.provisional == given_up
+        assert (found.chi2 > most) == given_up
+
+
 def test_what_was_declared_is_fitted_in_the_minimum_in_which_it_was_released():
     released = measured(3.0)
     released.model.weight[3] *= 0.02
