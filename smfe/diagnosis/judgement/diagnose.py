@@ -241,6 +241,8 @@ def _size_of(bench: Bench, worth: Worth) -> Size:
     rows = list(bench.target.observed)
 
     def size(before: Real, after: Real, given: str) -> float:
+        if not given:
+            return worth.of_nameless(bench.model, rows, before, after)
         return worth.of_causes(bench.model, rows, before, after, given in MEASURED)
 
     return size

@@ -47,6 +47,11 @@ class Worth:
             return known
         return max(predicted_size(model, rows, before, after), known or 0.0)
 
+    def of_nameless(self, model: Model, rows: Sequence[int], before: Real, after: Real) -> float:
+        """Return the size of a difference of what nobody names, a sensor or the machine: whichever it may be of [1]."""
+        shown = self.shown(model.values(before), model.values(after))
+        return max(self.of_causes(model, rows, before, after, False), shown or 0.0)
+
     def left(self, model: Model, residual: Mapping[int, Real], rng: np.random.Generator) -> float:
         """Return the size of a misfit beyond noise [1]."""
         found: list[float] = []
