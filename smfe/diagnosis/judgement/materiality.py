@@ -48,9 +48,20 @@ class Worth:
         return max(predicted_size(model, rows, before, after), known or 0.0)
 
     def of_nameless(self, model: Model, rows: Sequence[int], before: Real, after: Real) -> float:
-        """Return the size of a difference of what nobody names, a sensor or the machine: whichever it may be of [1]."""
-        shown = self.shown(model.values(before), model.values(after))
-        return max(self.of_causes(model, rows, before, after, False), shown or 0.0)
+        """Return the size of what lies between two scaled vectors where nobody says what each of it belongs to [1].
+
+        What changes no depth by itself is what a sensor shows, and counts as that.
+        """
+        machine, given = self.of_causes(model, rows, before, after, False), model.values(before)
+        if self.cost(given, model.values(after)) is None:
+            return machine
+        seen = before.copy()
+        for j in np.flatnonzero(before != after):
+            one = before.copy()
+            one[j] = after[j]
+            if self.cost(given, model.values(one)) == 0.0:
+                seen[j] = after[j]
+        return max(machine, self.of_causes(model, rows, before, seen, True))
 
     def left(self, model: Model, residual: Mapping[int, Real], rng: np.random.Generator) -> float:
         """Return the size of a misfit beyond noise [1]."""

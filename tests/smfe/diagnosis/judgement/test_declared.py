@@ -187,9 +187,9 @@ def test_a_cause_that_changes_less_than_what_has_no_name_and_is_strained_is_not_
 
 
 def test_a_sensor_without_a_name_that_is_strained_counts_by_what_it_shows():
-    """It changes no depth of the machine, but every depth that is reckoned from what it shows."""
+    """It changes no depth of the machine, but what is measured, and every depth that is reckoned from that."""
     nameless = (declared("coefficients", "force_coefficients", 0.001), declared("gain", "", 0.01))
-    worth = Worth(0.05, lambda *_: 0.0, lambda before, after: abs(after["gain"] - before["gain"]))
+    worth = Worth(0.05, lambda before, after: 0.1 * abs(after["coefficients"] - before["coefficients"]))
     found = diagnose(measured({"gain": 0.3}, nuisances=nameless), worth=worth)
     assert found.verdict == "unknown"
     assert "gain beyond what is trusted of it" in found.reason
