@@ -227,7 +227,8 @@ def _condition(
     if measurement.method == "hammer":
         compliance = steadied(compliance)
     compliance = hummed(compliance, hum)
-    level, duration = np.mean([_level(measurement, found, a) for a in axes], axis=0).tolist()
+    each = {a: _level(measurement, found, a) for a in axes}
+    level, duration = np.mean(list(each.values()), axis=0).tolist()
     feed = {a: float(v) for a, v in (measurement.feed or {}).items()}
     settings: dict[str, float | str] = {
         "method": measurement.method,
@@ -246,6 +247,8 @@ def _condition(
         except InputError:
             settings["place"] = measurement.position
     how = {"duration": duration, "feed": feed, "controller": controller}
+    if measurement.method == "hammer":
+        how["impulses"] = {a: x for a, (x, _) in each.items()}
     excited = excitation_of(compliance, measurement.method, level, band, **how)
     excited = replace(excited, band=_band_at_once(measurement, found))
     hits = _fewest_hits(measurement, found, axes)

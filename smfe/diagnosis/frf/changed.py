@@ -37,5 +37,6 @@ class Shaken(NamedTuple):
     reference: float  # amplitude of reference in scaled coordinates [sqrt(J)]
     power: Real | None = None
     """Share of the power of a multisine that each line stands for, (f,); None: one sine after another."""
+    impulses: tuple[float, ...] = ()  # of the hits along x, y, z [N s]; empty: all of `level`
     duration: float = 0.0
     """Contact time of the hits [s]; 0: a joint counts with one stiffness for the whole decay."""

@@ -110,26 +110,28 @@ def force_in_hits(
     """
     linear = _Linear.of(machine, _grid(machine if like is None else like, shaken.duration))
     kept, begin, end = linear.held()
-    vector, pulse = _vector(machine), _pulse(linear, shaken)
+    vector, pulse = _vector(machine), _pulse(linear, shaken.duration)
+    impulses = [shaken.impulses[e] if shaken.impulses else shaken.level for e in axes]
     read = vector @ linear.out
     joint = linear.into @ vector
     cubic, stiffness, most = _law(machine, shaken.reference)
     rows = np.zeros((len(axes) + 1, linear.steps + 1))
     rows[-1] = pulse
-    for row, e in zip(rows, axes, strict=False):
-        push = linear.into @ linear.shape[:, e]
+    for row, e, impulse in zip(rows, axes, impulses, strict=False):
+        push = impulse * (linear.into @ linear.shape[:, e])
         march(kept, begin * push, end * push, begin * joint, end * joint, read, pulse, cubic, stiffness, most, row)
     *forces, hit = _transformed(rows, frequency, linear.step)
-    seen = np.abs(hit) > RULES.excited * shaken.level
-    return np.stack([np.where(seen, f / np.where(seen, hit, 1.0), 0.0) for f in forces], axis=1)
+    seen = np.abs(hit) > RULES.excited
+    whole = np.where(seen, hit, 1.0)
+    return np.stack([np.where(seen, f / (x * whole), 0.0) for f, x in zip(forces, impulses, strict=True)], axis=1)
 
 
-def _pulse(linear: _Linear, shaken: Shaken) -> Real:
-    """Return the force of a hit at all steps [N]: a half sine, no shorter than a few steps."""
-    duration = max(shaken.duration, RULES.least_pulse * linear.step)
+def _pulse(linear: _Linear, duration: float) -> Real:
+    """Return the force of a hit of 1 N s at all steps [N]: a half sine, no shorter than a few steps."""
+    duration = max(duration, RULES.least_pulse * linear.step)
     time = linear.step * np.arange(linear.steps + 1)
     shape = np.where(time < duration, np.sin(np.pi * time / duration), 0.0)
-    return np.asarray(shape * (shaken.level / (shape.sum() * linear.step)))
+    return np.asarray(shape / (shape.sum() * linear.step))
 
 
 def _transformed(rows: Real, frequency: Real, step: float) -> list[Complex]:

@@ -518,7 +518,10 @@ class ModalFrfs(Abilities):
     def _measured(self, excited: Excited) -> Shaken:
         """Return how hard a machine was shaken where it was measured: a joint is followed through a hit in time."""
         shaken = self._shaken(excited, excited.frequency)
-        return shaken._replace(duration=excited.duration) if excited.method == "hammer" else shaken
+        if excited.method != "hammer":
+            return shaken
+        impulses = tuple([excited.impulses.get(a, excited.level) for a in AXES])
+        return shaken._replace(impulses=impulses, duration=excited.duration)
 
     def _shaken(self, excited: Excited, frequency: Real) -> Shaken:
         """Return how hard a machine is shaken, for its compliance at some frequencies [Hz]."""

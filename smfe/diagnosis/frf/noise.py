@@ -68,6 +68,7 @@ class Excited:
     degrees_of_freedom: float = math.inf
     """With which `std` is known over all lines (`degrees_of_freedom_of`); infinite: it is known."""
     repeats: int = 1  # hits, or records, that the compliance is the mean of
+    impulses: Mapping[str, float] = field(default_factory=dict)  # axis -> impulse of its hits [N s]; else `level`
     band: float = 0.0  # over which an actuator shakes at all frequencies at once [Hz]; 0: one sine after another
     _rows: Real = field(init=False, repr=False)
     _less: Real = field(init=False, repr=False)

@@ -188,6 +188,8 @@ class TestClosedForms:
             full_compliance(m, LINES, Shaken("hammer", level, travel / length, duration=d))[:, :, 0]
             for m, d in ((plain(built), 0.0), (changed, 0.0), (changed, 4e-3))
         )
+        hits = Shaken("hammer", 3.0, travel / length, impulses=(level, 2.0, 3.0), duration=4e-3)
+        assert away(full_compliance(changed, LINES, hits)[:, :, 0], found) < 1e-12  # each axis by its own hits
         assert away(linear, truth) > 0.1
         assert away(found, truth) < 0.06 * away(linear, truth)
         assert away(one, truth) > 0.2 * away(linear, truth)
