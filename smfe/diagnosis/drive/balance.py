@@ -125,14 +125,14 @@ class Balance:
     @property
     def moves(self) -> list[Real]:
         """What the reference leaves in each move."""
-        return self._each(self.left)
+        return self.each(self.left)
 
     def used(self, order: int) -> list[NDArray[np.bool_]]:
         """Return for each move which whitened values count: the axis moves in half of what the low-pass sees."""
         share = self.moved(np.ones(self.motion.time.size))
-        return [(x >= RULES.least_moving)[order:] for x in self._each(share)]
+        return [(x >= RULES.least_moving)[order:] for x in self.each(share)]
 
-    def _each(self, values: Real) -> list[Real]:
+    def each(self, values: Real) -> list[Real]:
         """Split values of all runs into those of the moves."""
         found = []
         for run, part in zip(self.runs, np.split(values, np.cumsum(self.sizes)[:-1]), strict=True):

@@ -107,6 +107,18 @@ class _GainData:
 
 
 @dataclass(frozen=True)
+class _LineData:
+    """Cosine and sine of a tone beyond the band in what the reference leaves of a move about a time [s]: noise [N].
+
+    `whole` is the rms of the drive force [N].
+    """
+
+    time: float
+    noise: float
+    whole: float
+
+
+@dataclass(frozen=True)
 class DriveModel:
     """What two records of one axis share, so that one can judge what the other has found."""
 
@@ -121,6 +133,7 @@ class DriveModel:
     law: ControlLaw | None = None  # control law with its velocity filter
     shown: ControlLaw | None = None  # the same behind a band-pass, which shows its gains
     line: float | None = None  # frequency of a tone in the drive force [Hz]
+    beyond: float | None = None  # band in which that is seen where the comparison does not reach it [Hz]
     draws: tuple[NoiseDraw, ...] = ()  # noises that the record could as well have come from
 
     @cached_property
@@ -200,6 +213,7 @@ class DriveRecordFamily(Abilities):
         known = (b.motion for (f, _), b in raw.kept.items() if f == shared.resampler.cutoff)
         moving = next(known, None) or motion(raw.position, raw.step, shared.resampler.cutoff)
         conditions = list(_force_conditions(raw, moving, shared, name))
+        conditions += _line_conditions(raw, shared, name)
         pulses: tuple[Pulse, ...] = ()
         if shared.law is not None and raw.reference is not None:
             more, pulses = _law_conditions(raw, moving, shared, shared.law, name)
@@ -248,11 +262,21 @@ class DriveRecordFamily(Abilities):
             return np.asarray(white[condition.data.used])
         if isinstance(condition.data, _LawData):
             return values.get("hidden.command", 0.0) * condition.data.signs / condition.data.noise
+        if isinstance(condition.data, _LineData):
+            return self._tone(condition.data, values)
         if isinstance(condition.data, _GainData):
             # The command is known no better than the channel that shows it: its gain is that of the velocity, too.
             velocity = (1.0 + values["servo_gains.velocity"]) * (1.0 + values.get("force_gain.error", 0.0)) - 1.0
             return np.array([velocity, values["servo_gains.position"]]) / condition.data.sd
         raise InputError(f"condition {condition.name} is not one of this family")
+
+    def _tone(self, data: _LineData, values: Values) -> Real:
+        """Return cosine and sine of the tone beyond the band, over their noise; at another frequency they turn."""
+        assert self.model.line is not None
+        a, b = (values.get(f"tone.{n}", 0.0) / data.noise for n in ("cosine", "sine"))
+        turn = 2.0 * math.pi * (values.get("tone.frequency", self.model.line) - self.model.line) * data.time
+        c, s = math.cos(turn), math.sin(turn)
+        return np.array([a * c + b * s, b * c - a * s]) * (1.0 + values.get("force_gain.error", 0.0))
 
     def noises(self, columns: Sequence[tuple[Condition, Real]]) -> list[Real]:
         """Return products of the columns of all conditions, (m, m): one covariance for each noise that may be true."""
@@ -280,6 +304,9 @@ class DriveRecordFamily(Abilities):
             # A command that comes and goes counts by its height, in however few moves it does.
             height = float(np.sqrt(np.mean(np.square(misfit)))) * condition.data.noise
             return (height / condition.data.whole) ** 2 / self._share(condition)
+        if isinstance(condition.data, _LineData):
+            square = 0.5 * float(np.sum(np.square(misfit))) * condition.data.noise**2
+            return square / condition.data.whole**2 / self._share(condition)
         if not isinstance(condition.data, ForceData):
             return super().squared_size(condition, misfit)
         force, whole = self._squares(condition.data, misfit)
@@ -392,12 +419,16 @@ def _learn(
 ) -> DriveModel:
     """Find what the record itself has to say: band, noise, starts of the nuisances, wavelength of a ripple."""
     known, above = lead is not None, RULES.above_noise
+    far: tuple[float, float] | None = None
     if cutoff is None:
-        cutoff, above, lead = _usable_band(raw, lead, delay, tolerances.material)
+        cutoff, above, lead, far = _usable_band(raw, lead, delay, tolerances.material)
     limit = lost_beyond(raw, balance_of(raw, cutoff, None, delay=delay))
     lead, line = periodic(raw, balance_of(raw, cutoff, limit, lead, delay=delay), limit, lead, delay)
     full = balance_of(raw, cutoff, limit, lead, line, delay)
     whitener = whitener_of(full)
+    beyond = None
+    if line is None and far is not None:
+        line, beyond = far
     law = shown = None
     if gains is not None and raw.reference is not None:
         given = without_line(raw.reference, raw.position, raw.force, raw.step, line)
@@ -433,11 +464,14 @@ def _learn(
         law=law,
         shown=shown,
         line=line,
+        beyond=beyond,
         draws=noise_draws(whitener, full.moves, full.regressors, full.kinds),
     )
 
 
-def _usable_band(raw: Channels, lead: float | None, delay: float, material: float) -> tuple[float, float, float | None]:
+def _usable_band(
+    raw: Channels, lead: float | None, delay: float, material: float
+) -> tuple[float, float, float | None, tuple[float, float] | None]:
     """Return the band of the comparison [Hz], how far the force stands above the noise at its end, and a lead [m].
 
     A ripple and a tone that matter end the band no more than anything else that is explained. To reach a tone it may
@@ -454,12 +488,13 @@ def _usable_band(raw: Channels, lead: float | None, delay: float, material: floa
     full = balance_of(raw, widest, limit, *waves, delay)
     explained = float(np.mean(np.square(plain.left)) - np.mean(np.square(full.left)))
     if explained < (RULES.worth_a_band * material) ** 2 * float(np.mean(np.square(plain.force))):
-        return cutoff, RULES.above_noise, waves[0]
+        return cutoff, RULES.above_noise, waves[0], None
     cutoff = max(cutoff, usable_band(full))
     reach = RULES.above_line * (waves[1] or 0.0)
     if cutoff < reach <= usable_band(balance_of(raw, middle, limit, *waves, delay), RULES.above_line_noise):
-        return reach, RULES.above_line_noise, waves[0]
-    return cutoff, RULES.above_noise, waves[0]
+        return reach, RULES.above_line_noise, waves[0], None
+    far = None if waves[1] is None or reach <= cutoff else (waves[1], middle)
+    return cutoff, RULES.above_noise, waves[0], far
 
 
 def _nuisances(
@@ -538,6 +573,43 @@ def _force_conditions(raw: Channels, moving: Motion, shared: DriveModel, name: s
             data = ForceData(moving[part], own, noise_, raw.force[part], used, track, first, acts)
             found.append(Condition(text, settings, (shared.whitener(own) / noise_)[used], half, data))
     return found
+
+
+def _line_conditions(raw: Channels, shared: DriveModel, name: str) -> list[Condition]:
+    """Return the amplitudes of a tone that the force does not reach out of the noise, in each move by itself.
+
+    The motion says nothing there, and of a tone in the log alone it need not. The noise is that of the amplitudes at
+    frequencies beside it.
+    """
+    if shared.beyond is None or shared.line is None:
+        return []
+    delay = next(p.start for p in shared.nuisances if p.name == "loop_delay.delay")
+    try:
+        band = balance_of(raw, shared.beyond, shared.limit, None, None, delay)
+    except InputError:
+        return []
+    times = band.each(band.seen(band.motion.time))
+    duration = float(np.median([t[-1] - t[0] for t in times]))
+    beside = [f for k in RULES.beside_line for f in (shared.line - k / duration, shared.line + k / duration)]
+    beside = [f for f in beside if RULES.lowest_tone < f < shared.beyond]
+    passed = float(band.filter.gain(np.array([shared.line]))[0])
+    own = [_amplitude(x, t, shared.line) for x, t in zip(band.moves, times, strict=True)]
+    spread = [[_amplitude(x, t, f) * math.sqrt(x.size) for f in beside] for x, t in zip(band.moves, times, strict=True)]
+    noise_ = math.sqrt(float(np.mean(np.square(spread))))
+    whole, found = float(np.std(raw.force)), list[Condition]()
+    for k, ((begin, end), a, t) in enumerate(zip(band.spans, own, times, strict=True)):
+        middle, sd = float(np.mean(t)), noise_ / math.sqrt(t.size) / passed
+        text = f"{name + ' ' if name else ''}tone of {shared.line:.3g} Hz, move {k + 1}"
+        half = "first half" if middle < 0.0 else "second half"
+        data = _LineData(middle, sd, whole)
+        found.append(Condition(text, settings_of(band.motion, begin, end), a / passed / sd, half, data))
+    return found
+
+
+def _amplitude(values: Real, time: Real, frequency: float) -> Real:
+    """Return cosine and sine of a frequency [Hz] in values, by least squares."""
+    angle = 2.0 * math.pi * frequency * time
+    return np.asarray(np.linalg.lstsq(np.stack([np.cos(angle), np.sin(angle)], axis=1), values, rcond=None)[0])
 
 
 def _spread(condition: Condition, columns: Real) -> Real:

@@ -62,6 +62,7 @@ class DriveRules:
     at_once: int = 2_000_000  # values of waves in memory
     hopeful: int = 200  # waves that are looked at more closely
     certain: float = 1e-8  # p-value of a wave with a whitener that was learned without it
+    beside_line: tuple[int, ...] = (3, 4, 5, 6)  # turns in a move by which frequencies beside a tone are off
     lowest_tone: float = 3.0  # [Hz]; the moves are slower
     stands_out: float = 5.5  # standard deviations of a force that lasts a moment
     # control law

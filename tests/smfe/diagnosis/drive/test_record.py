@@ -17,7 +17,7 @@ from smfe.diagnosis.drive.balance import Channels, balance_of, check_balance, lo
 from smfe.diagnosis.drive.control_law import ControlLaw, Gains, fit_control_law, fit_gains, fit_laws, unlogged_command
 from smfe.diagnosis.drive.filters import Motion, Path, Resampler, motion, moves, presliding, standing
 from smfe.diagnosis.drive.noise import Whitener, strongest_wave
-from smfe.diagnosis.drive.record import DriveRecordFamily, ForceData
+from smfe.diagnosis.drive.record import DriveRecordFamily, ForceData, _line_conditions
 from smfe.diagnosis.judgement.diagnose import diagnose
 from smfe.identification.spectra.low_pass import filtered, kernel
 
@@ -724,6 +724,23 @@ def test_a_tone_below_the_mains_is_looked_for_whatever_the_band_is() -> None:
     assert loud.model.line == pytest.approx(23.0, abs=0.05)
     assert loud.model.resampler.cutoff == pytest.approx(1.25 * 23.0, rel=0.01)
     assert "missing_mode" not in [c.id for c in loud.causes]
+
+
+def test_a_tone_beyond_any_band_is_held_against_each_move_by_itself() -> None:
+    """10 N at 33 Hz, where the force does not stand out of the noise: amplitude and phase are the same in all moves."""
+    record = record_of(Axis(hum=10.0, hum_frequency=33.0, noise=1.5, seconds=20.0), 3)
+    made = DriveRecordFamily.from_record(record, cutoff=16.0, delay=0.5 * STEP)
+    loud = replace(made, model=replace(made.model, line=33.0, beyond=45.0))
+    lines = _line_conditions(Channels.read(record, "x"), loud.model, "")
+    assert len(lines) >= 4
+    slopes = [
+        np.stack([loud.predict(c, null_values(loud) | {f"tone.{n}": 1.0}) for n in ("cosine", "sine")], axis=1)
+        for c in lines
+    ]
+    columns, observed = np.concatenate(slopes), np.concatenate([c.observed for c in lines])
+    tone, left = np.linalg.lstsq(columns, observed, rcond=None)[:2]
+    assert np.hypot(*tone) == pytest.approx(10.0, rel=0.1)
+    assert left[0] / observed.size < 2.0
 
 
 def test_mass_and_friction_begin_at_the_force_that_acts() -> None:
