@@ -154,6 +154,8 @@ def diagnose(
                 bench, at, steps = again, found, []
             else:
                 declared = []
+        if family.masks and not declared and len(at.causes) > 1:
+            bench, at, declared = _in_place(bench, at, released_bench, worth)
         if not objection and (name := _at_limit(bench, at)):
             objection = IMPOSSIBLE.format(name)
         objection = objection or drifting(bench, at, worth)
@@ -161,6 +163,29 @@ def diagnose(
         if unproven and finding.verdict == "consistent":
             return replace(finding, verdict="insufficient_data", reason=_not_borne_out(bench, unproven))
         return finding
+
+
+def _in_place(
+    bench: Bench, at: Fit, prepared: Callable[[Sequence[Released]], Bench], worth: Worth
+) -> tuple[Bench, Fit, list[Released]]:
+    """Return a fit with what was declared released in the place of one of its causes, where that does as much.
+
+    A cause that came in beside another may stand for a declared value which only that other one was hiding.
+    """
+    for k in reversed(at.causes):
+        smaller = bench.reduce(at, k)
+        if not smaller.converged or not (declared := _contradicted(bench, smaller, worth)):
+            continue
+        again = prepared(declared)
+        if not again.null().converged:
+            continue
+        found = again.extend(again.null(), smaller.causes)
+        count = sum(len(r.values[0]) for r in declared)
+        most = at.chi2 + charge(bench.model, at.causes) - charge(bench.model, smaller.causes) - RULES.penalty * count
+        better = found.chi2 < most and not _at_limit(again, found)
+        if found.converged and better and _borne_out(again, found, declared):
+            return again, found, declared
+    return bench, at, []
 
 
 def _one_by_one(

@@ -517,6 +517,26 @@ def test_what_is_left_hides_a_declared_value_unless_it_is_laid_to_causes():
     assert (found.verdict, found.causes) == ("unknown", ())
 
 
+def test_no_further_cause_stands_for_a_declared_value_that_the_first_was_hiding(monkeypatch):
+    """Something that lowers all limits, and might do more, is the material that is too hard, which asks for less."""
+    places = tuple(Condition(f"{n} rpm", {"speed": 1.0 + 0.25 * n}) for n in range(12))
+
+    class Several(Levels):
+        def predict(self, condition, values):
+            more = values.get("lower", 0.0) + 0.3 * values.get("wave", 0.0) * np.cos(3.0 * condition.settings["speed"])
+            return super().predict(condition, values) - more / 0.02
+
+    both = (Parameter("lower", "1", 0.0, 0.1), Parameter("wave", "1", 0.0, 0.1))
+    causes = (*Levels.causes, Cause("lowering", "what lowers all limits", both))
+    noise = np.random.default_rng(1).standard_normal(12)
+    true = [Several(places).predict(c, {"hardness": 0.3, "worn": 1.2}) for c in places]
+    seen = tuple(replace(c, observed=y + e) for c, y, e in zip(places, true, noise, strict=True))
+    found = diagnose(Several(seen, causes=causes), worth=WORTH)
+    assert (found.verdict, set(ids(found))) == ("named", {"force_coefficients", "worn"})
+    monkeypatch.setattr(judgement, "_in_place", lambda bench, at, *_: (bench, at, []))
+    assert set(ids(diagnose(Several(seen, causes=causes), worth=WORTH))) == {"lowering", "worn"}
+
+
 def test_a_declared_value_and_a_cause_are_both_named():
     """A material a quarter too hard and a flank that lifts the limits at low speed."""
     places = tuple(Condition(f"{n} rpm", {"speed": 1.0 + 0.25 * n}) for n in range(12))
