@@ -27,8 +27,9 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 if __name__ == "__main__":
@@ -178,7 +179,7 @@ def _without(gone: set[str]) -> Iterator[None]:
     if not gone:
         yield
         return
-    made = command.case_of
+    made, weigh = command.case_of, command.worth_of
 
     def lacking(*arguments: object, **more: object) -> object:
         case = made(*arguments, **more)
@@ -187,7 +188,10 @@ def _without(gone: set[str]) -> Iterator[None]:
             family = Without(family, cause)
         return replace(case, family=family)
 
-    with mock.patch.object(command, "case_of", lacking):
+    def weighed(campaign: Any, family: Without) -> object:
+        return family.worth(partial(weigh, campaign))
+
+    with mock.patch.object(command, "case_of", lacking), mock.patch.object(command, "worth_of", weighed):
         yield
 
 

@@ -112,6 +112,15 @@ class Without:
         """As the family predicts."""
         return self._family.predict(condition, self._null | dict(values))
 
+    def worth(self, weigh):
+        """Return what matters of the family itself, whose kind says whether there are depths."""
+        whole = self._family.worth(weigh) if isinstance(self._family, Without) else weigh(self._family)
+
+        def of(cost):
+            return lambda before, after: cost(self._null | dict(before), self._null | dict(after))
+
+        return replace(whole, cost=of(whole.cost), shown=of(whole.shown))
+
 
 def _axis(effects, seed, snr, size):
     design = next((AXIS_DESIGN[e] for e in effects if e in AXIS_DESIGN), "full")

@@ -3,6 +3,7 @@
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from truth.imperfect.bench import Answer
@@ -11,6 +12,9 @@ from truth.imperfect.families import FAMILIES
 from exam.campaign_scores import Case, Said, page, scores
 from exam.campaigns import OutOfPatienceError, cases, code, examine, meaning, patient, sit
 from exam.campaigns import _said as kept_of
+from exam.subjects import Without
+from smfe.diagnosis.inference.problem import Cause, Parameter
+from smfe.diagnosis.judgement.materiality import Worth
 
 
 def wanted(case: Case) -> tuple[tuple[str, tuple[str, ...]], ...]:
@@ -138,3 +142,20 @@ def test_nobody_who_catches_errors_goes_on_for_ever(caught: type[BaseException],
         busy()
     assert len(lost) <= times + (caught is BaseException)
     assert time.process_time() - begin < 1.0
+
+
+def test_what_a_family_without_a_cause_changes_is_weighed_by_its_depths() -> None:
+    """Its kind says whether there are any; what is left out of it has its null."""
+    whole = SimpleNamespace(
+        causes=tuple(Cause(n, n, (Parameter(n, "1", 0.5, 1.0),)) for n in ("slip", "gap")), nuisances=()
+    )
+    seen = []
+
+    def weigh(family):
+        seen.append(family)
+        return Worth(0.05, cost=lambda before, after: after["slip"] + after["gap"] - before["slip"] - before["gap"])
+
+    worth = Without(Without(whole, "slip"), "gap").worth(weigh)
+    assert seen == [whole]
+    assert worth.material == 0.05
+    assert worth.cost({"gap": 0.5}, {"gap": 0.75}) == pytest.approx(0.25)
