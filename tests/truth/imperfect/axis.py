@@ -189,6 +189,9 @@ TOLERANCES = {"sensors": math.sqrt(2.0) * 0.01, "gains": 0.02, "masses": 0.1, "s
 HIDDEN_BY_TOLERANCES = ("gain", "force_gain", "velocity_gain", "integral_time", "position_gain")
 """Effects that are something a campaign gives, which is off within its tolerance in every campaign."""
 
+MOST_ASYMMETRIC = 0.8
+"""Difference of the directions over their mean: then one has two and a half times the friction of the other."""
+
 
 def noise_of(b: Bench, plan: list[Visit], tools: Instruments, f: Real) -> Real:
     """Relative standard deviation of each line of each visit's compliance, shape (visits, f), by noise of the sensors.
@@ -337,6 +340,22 @@ def visits(rng: np.random.Generator) -> list[Visit]:
     return [replace(v, order=i / last, walk=float(walk[i] - walk[0])) for i, v in enumerate(plan)]
 
 
+def slowly(plan: list[Visit]) -> list[Visit]:
+    """Return a plan that measures both ways at its slower feed, which is 500 mm/min at most.
+
+    At a constant feed friction acts by its slope alone, which the sides share where they have left the Stribeck range.
+    """
+    slower = min(v.feed for v in plan if v.feed > 0.0)
+    feed = min(slower, FEEDS[1])
+
+    def there(v: Visit) -> Visit:
+        if v.feed < 0.0:
+            return replace(v, feed=-feed, name=f"back_{feed:g}")
+        return replace(v, feed=feed, name=f"at_{feed:g}") if v.feed == slower else v
+
+    return [there(v) for v in plan]
+
+
 def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0) -> Answer:
     """Write a campaign and return what is hidden in it."""
     rng = np.random.default_rng([seed, 501])
@@ -344,6 +363,8 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
     dry = (dry or bool(set(hidden) & set(DRY))) and "friction" not in hidden
     base = drawn(rng, dry)
     plan = visits(rng)
+    if "asymmetry" in hidden:
+        plan = slowly(plan)
     signs = {name: float(rng.choice([-1.0, 1.0])) for name in sorted(EFFECTS | OUTSIDE)}
     tools = bench.instruments(rng, RATE / int(rng.choice([2, 3, 4])))
     b, sizes, cost = base, {}, 0.0
@@ -360,10 +381,10 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
             size, cost = bench.raised(size, price, largest=4.0)
         else:
             size, cost = bench.raised(size, price, what.switch)
-        if name in HIDDEN_BY_TOLERANCES and abs(size) < (
-            least := told(now, plan, name, tools, math.copysign(1.0, size))
-        ):
-            size = math.copysign(least, size)
+        if name in (*HIDDEN_BY_TOLERANCES, "asymmetry"):
+            least = told(now, plan, name, tools, math.copysign(1.0, size))
+            least = min(least, MOST_ASYMMETRIC) if name == "asymmetry" else least
+            size = math.copysign(max(abs(size), least), size)
             cost = price(size)
         if scale != 1.0:
             size, cost = size * scale, price(size * scale)

@@ -101,6 +101,19 @@ def test_a_gain_is_hidden_from_where_the_noise_of_its_campaign_and_the_period_of
         assert (quiet > other) == (name != "position_gain")
 
 
+def test_friction_of_two_sides_is_told_where_both_are_in_the_stribeck_range() -> None:
+    """At 1000 and 2000 mm/min forth and back at 2000 not twice the friction would be told from half of it."""
+    bench = axis.drawn(np.random.default_rng(3), True)
+    feeds = {"idle": 0.0, "at_1000": 1000.0, "at_2000": 2000.0, "back_2000": -2000.0}
+    plan = [axis.Visit(name, feed, 100.0, "K2") for name, feed in feeds.items()]
+    slow = axis.slowly(plan)
+    assert [v.feed for v in slow] == [0.0, 500.0, 2000.0, -500.0]
+    assert [v.name for v in slow] == ["idle", "at_500", "at_2000", "back_500"]
+    tools = instruments(np.random.default_rng(3), 4096.0)
+    fast, both = (axis.told(bench, p, "asymmetry", tools, 1.0) for p in (plan, slow))
+    assert both < 0.3 * fast
+
+
 def test_of_limits_counts_what_nothing_that_is_open_imitates() -> None:
     """Fisher's information: coefficients 35 % off, in eight limits, with coefficients known well, badly and not."""
     depths, change = (5e-3,) * 8, np.repeat([math.log(1.35), 0.0], 8)
