@@ -35,7 +35,7 @@ from smfe.diagnosis.cutting.orders import SteadyCut, cutting_orders
 from smfe.progress import Progress, silent, warn
 from smfe.records import read_records
 from smfe.results import write_atomically
-from stability.chatter.cut_interval import judged_part
+from stability.chatter.cut_interval import in_the_cut
 
 CUTTING = ("Ktc", "Krc", "Kac")
 EDGE = ("Kte", "Kre", "Kae")
@@ -44,8 +44,6 @@ _SHOWN = {
     "runout": Range(0.0, 5e-4, 1e6, "µm", "bound of the fit"),
     "helix": Range(0.0, 1.2, 180.0 / math.pi, "deg", "bound of the fit"),
 }
-_AIR_TURNS = 5.0
-"""Turns in the air from which their mean force is the zero of the dynamometer."""
 _POOR = 0.2
 """Residual of the mechanistic fit above which its values are not to be used."""
 
@@ -318,34 +316,6 @@ def _of_records(records: Sequence[xr.Dataset], tool: Tool | Mapping[str, Any] | 
         speed = float(np.median(record["spindle_speed"].values)) * math.pi / 30.0
         cuts[f"cut {number}, {name}"] = (in_the_cut(record, speed), SteadyCut(speed, feed, depth, arc))
     return "work material", cutter, cuts
-
-
-def in_the_cut(record: xr.Dataset, rotation: float, interval: tuple[float, float] | None = None) -> xr.Dataset:
-    """Return the steady part of a cut, without the air before and after it, entry and exit; less the forces in the air.
-
-    A mean over air as well is too small by its share of the record. What a dynamometer shows in the air is its zero.
-
-    Parameters
-    ----------
-    record : xarray.Dataset
-        With ``force``.
-    rotation : float
-        Spindle speed [rad/s].
-    interval : (float, float), optional
-        Part of the record to take instead [s].
-    """
-    axes = axis_present(record, "force")
-    turn = 2.0 * math.pi / rotation
-    part = judged_part(record, "force", axes, turn, interval)
-    first, last = interval or part.bounds[1:3]
-    time = record["time"].values
-    inside = record.isel(time=np.flatnonzero((time >= first) & (time <= last)))
-    if part.air.shape[1] * part.raw_dt < _AIR_TURNS * turn:
-        return inside
-    zero = xr.DataArray(part.air.mean(axis=1), {"axis": axes})
-    return inside.assign(
-        force=(inside["force"] - zero).transpose(*inside["force"].dims).assign_attrs(inside["force"].attrs)
-    )
 
 
 def _check_forces(record: xr.Dataset, name: str) -> None:

@@ -2,6 +2,7 @@
 
 - Air, entry, steady cut and exit are separated by the level of each turn. Without an interval, the second half of the
   cut is judged, more of it where that is short, and neither entry nor exit.
+- Forces are taken from the whole steady cut, or the interval, less what a dynamometer shows in the air.
 - A recorded spindle angle, tacho or speed must agree with the given speed and be constant within the part.
 """
 
@@ -83,6 +84,45 @@ def judged_part(
         bounds=(at[0], at[1], at[2], at[3]),
         air=_air(samples, min(first, begin), max(last, end), max(2, round(turn / dt))),
         raw_dt=dt,
+    )
+
+
+def in_the_cut(record: xr.Dataset, rotation: float, interval: tuple[float, float] | None = None) -> xr.Dataset:
+    """Return the steady part of a cut, without the air before and after it, entry and exit; less the forces in the air.
+
+    A mean over air as well is too small by its share of the record. What a dynamometer shows in the air is its zero. An
+    entry counts as over when it has taken twice the turns in which 70 % of the force is reached: one that rises evenly
+    has all of it after 1.4 times as many.
+
+    Parameters
+    ----------
+    record : xarray.Dataset
+        With ``force``.
+    rotation : float
+        Spindle speed [rad/s].
+    interval : (float, float), optional
+        Part of the record to take instead [s].
+
+    Raises
+    ------
+    InputError
+        When the interval holds next to nothing of the record.
+    """
+    axes = axis_present(record, "force")
+    turn = 2.0 * math.pi / rotation
+    part = judged_part(record, "force", axes, turn, interval)
+    begin, entered, left, end = part.bounds
+    # A cut that begins or ends with the record has no entry or exit.
+    first, last = interval or (min(2.0 * entered - begin, left), max(2.0 * left - end, entered))
+    if first >= last:
+        first, last = entered, left
+    time = record["time"].values
+    inside = record.isel(time=np.flatnonzero((time >= first) & (time <= last)))
+    if part.air.shape[1] * part.raw_dt < RULES.turns_of_air * turn:
+        return inside
+    zero = xr.DataArray(part.air.mean(axis=1), {"axis": axes})
+    return inside.assign(
+        force=(inside["force"] - zero).transpose(*inside["force"].dims).assign_attrs(inside["force"].attrs)
     )
 
 

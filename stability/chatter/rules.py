@@ -54,6 +54,8 @@ class ChatterRules:
     """The same, from which it is a line even where its envelope varies [1]."""
 
     # The rules.
+    turns_of_air: float = 5.0
+    """Turns in the air from which their mean force is the zero of the dynamometer."""
     fewest_turns: int = 6
     """Below this number of turns the masks of neighbouring orders meet."""
     sideband_share: float = 0.4

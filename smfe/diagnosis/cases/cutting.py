@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
 import xarray as xr
 
 from process.cut.engagement import engagement
@@ -24,6 +25,7 @@ from smfe.limits.cut_conditions import FIXED, Source, stated
 from smfe.limits.cutting_tests import judge
 from smfe.progress import Progress, silent
 from smfe.records import read_records
+from stability.chatter.cut_interval import in_the_cut
 
 
 def cutting_case(campaign: Campaign) -> Case:
@@ -52,9 +54,13 @@ def cutting_case(campaign: Campaign) -> Case:
     words = [_words(cut) for cut in cuts]
     named: dict[str, tuple[xr.Dataset, SteadyCut]] = {}
     groups: dict[str, tuple[str, ...]] = {}
+    notes: list[Suspect] = []
     for test, cut, name in zip(campaign.cutting_tests, cuts, words, strict=True):
         name = f"{name}, {test.file.name}" if words.count(name) > 1 else name
-        named[name] = read_records(test.file, test.channels)[0], cut
+        record = read_records(test.file, test.channels)[0]
+        steady = _steady(record, test, cut)
+        notes += _left_out(record, steady, test)
+        named[name] = steady, cut
         groups[test.file.name] = (*groups.get(test.file.name, ()), name)
     family = cutting_family(
         named,
@@ -67,7 +73,31 @@ def cutting_case(campaign: Campaign) -> Case:
         stated=campaign.coefficient_spread is not None,
     )
     proposals = tuple(replace(p, settings={**p.settings, "minutes": PROPOSALS.cut}) for p in family.proposals)
-    return Case(replace(family, proposals=proposals), groups, _held_out(campaign, groups), family.suspects)
+    return Case(replace(family, proposals=proposals), groups, _held_out(campaign, groups), (*notes, *family.suspects))
+
+
+def _steady(record: xr.Dataset, test: CuttingTest, cut: SteadyCut) -> xr.Dataset:
+    """Return what counts of the record of a test: its interval, else the steady cut in it; less the forces in air."""
+    if cut.depth > 0.0 and "force" in record:
+        return in_the_cut(record, cut.rotation, test.interval)
+    if test.interval is None:
+        return record
+    time = record["time"].values
+    return record.isel(time=np.flatnonzero((time >= test.interval[0]) & (time <= test.interval[1])))
+
+
+def _left_out(record: xr.Dataset, steady: xr.Dataset, test: CuttingTest) -> Iterator[Suspect]:
+    """Yield a note of what a record holds beside the steady cut, where the campaign does not say what to take."""
+    if test.interval is not None or steady.sizes["time"] == record.sizes["time"]:
+        return
+    whole = record["time"].values
+    first, last = (float(steady["time"].values[i] - whole[0]) for i in (0, -1))
+    yield note(
+        "unusable",
+        f"cutting test, {test.file.name}",
+        f"the steady cut lasts from {first:.3g} to {last:.3g} s of {float(whole[-1] - whole[0]):.3g} s",
+        "entry, exit and air are left out; the mean force in the air counts as zero; say interval to take another part",
+    )
 
 
 def _tool(campaign: Campaign, what: str) -> tuple[Tool, CuttingCoefficients]:

@@ -7,12 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from exam.limits import RATIO, SLOT, SPEEDS, planted
+from truth.cutting import FEEDS, Cut, Mill, forces
 from truth.milling_limits import Found, search
 
 from process.errors import InputError
 from smfe.campaign import load_campaign
 from smfe.commands.diagnose import diagnose
 from smfe.diagnosis.cases.compliances import case_of
+from smfe.diagnosis.cases.cutting import cutting_case
+from smfe.diagnosis.cutting.orders import CuttingOrders
 
 RATE = 500.0
 
@@ -127,3 +130,41 @@ def test_limits_are_those_of_one_controller(tmp_path: Path) -> None:
         InputError, match="made with the controller K1 and K2, whose limits are not those of one machine"
     ):
         case_of(load_campaign(path), {})
+
+
+def milled(folder: Path, cut: Cut, whole: float, cutting: tuple[float, float], more: str = "") -> Path:
+    """A campaign of one slot: `cutting` of a record of some seconds, air before and behind it, a zero that is none."""
+    mill = Mill()
+    t = np.arange(0.0, whole, 2e-4)
+    inside = np.clip(np.minimum(t - cutting[0], cutting[1] - t) / 0.05, 0.0, 1.0)
+    force = forces(mill, cut, 2.0 * np.pi * cut.speed / 60.0 * t, 8) * inside
+    force += np.array([[30.0], [-20.0], [10.0]]) + 0.1 * np.random.default_rng(1).standard_normal(force.shape)
+    np.savetxt(folder / "cut.csv", np.column_stack([t, force.T]), delimiter=",", header="t,x,y,z", comments="")
+    k = [f'{n} = "{v * 1e-6} N/mm^2"' for n, v in zip(("Ktc", "Krc", "Kac"), mill.cutting, strict=True)]
+    lines = [
+        f'[campaign]\nname = "air"\n[tool]\ndiameter = "{mill.diameter * 1e3} mm"\nteeth = {mill.teeth}\n[material]',
+        *k,
+        '[channels]\ntime = { column = "t", unit = "s" }',
+        *(f'force_{a} = {{ column = "{a}", unit = "N" }}' for a in "xyz"),
+        f'[baseline]\nforces = "mechanistic"\n[[cutting_test]]\nfile = "cut.csv"\nspindle_speed = "{cut.speed} rpm"',
+        f'depth_of_cut = "{cut.depth * 1e3} mm"\ncut = "central"\nwidth_of_cut = "{mill.diameter * 1e3} mm"',
+        f'feed_per_tooth = "{cut.feed_per_tooth * 1e3} mm"\n{more}',
+    ]
+    (folder / "campaign.toml").write_text("\n".join(lines))
+    return folder / "campaign.toml"
+
+
+@pytest.mark.parametrize("more", ["", 'interval = ["1.2 s", "3.8 s"]'], ids=["found", "interval"])
+def test_air_beside_a_cut_changes_no_force_of_it(tmp_path: Path, more: str) -> None:
+    """Two seconds of air in five would take 40 % off the forces; the zero of the dynamometer is what it shows there."""
+    cut = Cut(feed_per_tooth=FEEDS[1].feed_per_tooth)
+    case = cutting_case(load_campaign(milled(tmp_path, cut, 5.0, (1.0, 4.0), more)))
+    found = case.family.conditions[0].data
+    assert isinstance(found, CuttingOrders)
+    truth = np.fft.rfft(forces(Mill(), cut, 2.0 * np.pi * np.arange(3600) / 3600, 8))[:, :9].T / 3600
+    truth[1:] *= 2.0
+    largest = np.abs(truth).max()
+    np.testing.assert_allclose(np.abs(found.value[:9]), np.abs(truth), atol=0.005 * largest)
+    np.testing.assert_allclose(found.value[0].real, truth[0].real, atol=0.005 * largest)
+    notes = [s.evidence for s in case.suspects if s.where == "cutting test, cut.csv"]
+    assert ("the steady cut lasts" in " ".join(notes)) == (not more)
