@@ -50,8 +50,8 @@ def examine(case: Case, patience: float) -> Said:
 def written(case: Case, folder: Path) -> Answer:
     """Write a campaign; return what is hidden in it."""
     effects = () if case.what == "healthy" else tuple(case.what.split("+"))
-    truths = three_axes.hidden_campaign(case.seed, effects, folder)
-    return Answer("machine", case.seed, {}, {name: (name,) for name in effects}, 0.0, truths)
+    made = three_axes.hidden_campaign(case.seed, effects, folder)
+    return Answer("machine", case.seed, made.sizes, {name: (name,) for name in effects}, made.cost, made.truths)
 
 
 def state() -> str:

@@ -8,8 +8,9 @@ lean, sensors are a little off, the machine is not quite what its maker says. Sh
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,12 @@ from numpy.typing import NDArray
 from scipy import io, signal
 
 from truth import three_axes_kernel as kernel
+from truth.imperfect.bench import raised
 
 Real = NDArray[np.float64]
 AXES = "xyz"
+BAND = (3.0, 140.0)
+"""What campaigns compare [Hz]."""
 STEP = 1.25e-4
 RATE = 2000.0
 LENGTH = 2.0
@@ -136,10 +140,14 @@ class Set:
 
 
 def design() -> list[Set]:
-    """Four feeds, two levels."""
+    """At rest and at four feeds, at two levels.
+
+    Both directions at both speeds: with one feed in two directions the others say less than a ten-thousandth of what
+    all say of a friction curve together with its difference between the directions, so that no feed left out tests it.
+    """
     found = []
     for level, word in ((0.3, "light"), (1.0, "hard")):
-        for feed in (0.0, 200.0, -200.0, 600.0):
+        for feed in (0.0, 200.0, -200.0, 600.0, -600.0):
             way = "idle" if feed == 0.0 else f"{'m' if feed < 0 else 'p'}{abs(feed):.0f}"
             found.append(Set(f"hammer_{way}_{word}", feed, level))
     return found
@@ -218,9 +226,8 @@ def with_slip(portal: Portal, share: float, travel: float = 12e-6, count: int = 
     return replace(portal, elements=np.column_stack([np.full(count, each), limits]))
 
 
-def hidden(name: str, portal: Portal, rng: np.random.Generator, size: float = 1.0) -> Portal:
+def hidden(name: str, portal: Portal, sign: float, axis: str, size: float = 1.0) -> Portal:
     """Return the machine as it is where the maker's description lacks something."""
-    sign, axis = float(rng.choice([-1.0, 1.0])), AXES[int(rng.integers(3))]
     if name == "friction_asymmetry":
         sides = {a: g.scaled(1.0 + 0.25 * sign * size, 1.0 - 0.25 * sign * size) for a, g in portal.guideways.items()}
         return replace(portal, guideways=sides)
@@ -230,6 +237,31 @@ def hidden(name: str, portal: Portal, rng: np.random.Generator, size: float = 1.
         kp, ti, kv, lag = portal.servos[axis]
         return replace(portal, servos={**portal.servos, axis: (kp * (1.0 + 0.3 * sign * size), ti, kv, lag)})
     return portal
+
+
+def real_parts(portal: Portal) -> Iterator[Real]:
+    """Yield the real part of each direct compliance [m/N] that hard hits of the design find."""
+    count = round(LENGTH / STEP)
+    f = np.fft.rfftfreq(count, STEP)
+    band = (f >= BAND[0]) & (f <= BAND[1])
+    for one in (s for s in design() if s.level == 1.0):
+        force = hit(np.random.default_rng(0), one.level, count)
+        under = np.fft.rfft(force)[band] * -((2.0 * np.pi * f[band]) ** 2)
+        for k, way in enumerate(np.eye(3)):
+            yield (np.fft.rfft(simulate(portal, [one.feed * MM_MIN] * 3, way, force)[k])[band] / under).real
+
+
+def cost_of(portal: Portal, before: Sequence[Real]) -> float:
+    """Return by what a machine differs from one of other real parts, where that limits the depth of cut [1].
+
+    The rms of the change of the real part, over its most negative value, on the lines within half of that; the largest
+    of all sets and directions.
+    """
+    worst = 0.0
+    for was, now in zip(before, real_parts(portal), strict=True):
+        near = was < 0.5 * was.min()
+        worst = max(worst, float(np.sqrt(np.mean((now - was)[near] ** 2)) / -was.min()))
+    return worst
 
 
 # --- A campaign of it.
@@ -291,7 +323,7 @@ def write_campaign(
         feed = ", ".join(f'{a} = "{one.feed:g} mm/min"' for a in AXES)
         lines.append(
             f'[[measurement]]\nname = "{one.name}"\nmethod = "hammer"\ncontroller = "K1"\nfeed = {{ {feed} }}\n'
-            f'frequency_range = ["3 Hz", "140 Hz"]\nrecords = [{", ".join(records)}]\n'
+            f'frequency_range = ["{BAND[0]:g} Hz", "{BAND[1]:g} Hz"]\nrecords = [{", ".join(records)}]\n'
         )
     path = folder / "campaign.toml"
     path.write_text("\n".join(lines))
@@ -299,27 +331,40 @@ def write_campaign(
 
 
 EFFECTS = ("guideway_friction", "friction_asymmetry", "joint_micro_slip", "servo_gains")
+LARGEST = 3.0
+"""An effect is raised up to this many times its size until it is material: a quarter of the joint to three."""
 
 
-def hidden_campaign(
-    seed: int, effects: Sequence[str], folder: Path, sets: Sequence[Set] | None = None
-) -> dict[str, float]:
+@dataclass(frozen=True)
+class Written:
+    """What is hidden in a campaign: each effect over its size, what all of it costs, and what is true."""
+
+    sizes: Mapping[str, float]
+    cost: float
+    truths: Mapping[str, float]
+    """Gains [N s/m] and differences of the friction between the directions [%], as a finding has them."""
+
+
+def hidden_campaign(seed: int, effects: Sequence[str], folder: Path, sets: Sequence[Set] | None = None) -> Written:
     """Write a campaign of a drawn machine whose maker leaves some effects out; without any it is a healthy one.
 
-    Sensors are calibrated within 0.3 %, hits lean by 0.5 degrees. Return what is true of gains [N s/m] and of the
-    difference of friction between the directions [%].
+    Sensors are calibrated within 0.3 %, hits lean by 0.5 degrees. An effect that matters less is raised.
     """
     rng = np.random.default_rng([2200, seed])
     nominal = portal(rng)
-    true = nominal
+    true, sizes, cost = nominal, {}, 0.0
     for name in effects:
-        true = hidden(name, true, rng)
+        sign, axis = float(rng.choice([-1.0, 1.0])), AXES[int(rng.integers(3))]
+        # What the maker says nothing of is there in full.
+        if name != "guideway_friction":
+            of = partial(hidden, name, true, sign, axis)
+            before = list(real_parts(true))
+            sizes[name], own = raised(1.0, lambda x, of=of, before=before: cost_of(of(x), before), largest=LARGEST)
+            true, cost = of(sizes[name]), max(cost, own)
     gains = 1.0 + 3e-3 * rng.standard_normal(3)
     chain = Chain(gain=(float(gains[0]), float(gains[1]), float(gains[2])), lean=0.5)
     law = "viscous" if "guideway_friction" in effects else "andersson"
     write_campaign(folder, nominal, true, rng, law, chain, sets)
     apart = {a: g.coulomb[0] / (0.5 * sum(g.coulomb)) - 1.0 for a, g in true.guideways.items()}
-    return {
-        **{f"Kp_{a}_K1": servo[0] for a, servo in true.servos.items()},
-        **{f"friction_asymmetry_{a}": 100.0 * x for a, x in apart.items()},
-    }
+    gain = {f"Kp_{a}_K1": servo[0] for a, servo in true.servos.items()}
+    return Written(sizes, cost, {**gain, **{f"friction_asymmetry_{a}": 100.0 * x for a, x in apart.items()}})

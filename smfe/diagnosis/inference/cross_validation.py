@@ -165,7 +165,8 @@ def held_out(model: Model, target: Target, fit: Fit, chosen: Sequence[Scheme]) -
 def _along(model: Model, rows: Sequence[int]) -> float:
     """Return the most that the variance of the noise of conditions is along any direction; infinite: not known."""
     family, known = model.family, model.noise_knowledge
-    if family.model_error > 0.0 or family.roughness > 0.0 or not all(math.isinf(known.of(r)) for r in rows):
+    sized = family.bounded_noise or all(math.isinf(known.of(r)) for r in rows)
+    if family.model_error > 0.0 or family.roughness > 0.0 or not sized:
         return math.inf
     # What a model may miss it may miss of all conditions alike.
     return float(len(rows)) if _missed(model, rows) else 1.0
@@ -193,12 +194,10 @@ def within(model: Model, target: Target, fit: Fit) -> HeldOut | None:
         apart = block % 4 == fold
         seen = np.concatenate([~apart, np.ones(residual.size - values, dtype=bool)])
         step, _ = bounded_step(slope[seen], residual[seen], model.low[fit.free] - at, model.high[fit.free] - at)
-        u = fit.u.copy()
-        u[fit.free] = np.clip(at + step, model.low[fit.free], model.high[fit.free])
-        found = residuals(model, target, u)
-        if found is None:
+        out = _stepped(model, target, fit, step, seen, residual)
+        if out is None:
             return None
-        out, root = np.concatenate(list(found.values())), _root(slope[seen])
+        root = _root(slope[seen])
         mine = {int(b): block == b for b in np.unique(block[apart])}
         load = {b: slope[:values][m] @ root[0] for b, m in mine.items()}
         groups.append(({b: out[m] for b, m in mine.items()}, Spread(load, root[1])))
@@ -214,8 +213,30 @@ def within(model: Model, target: Target, fit: Fit) -> HeldOut | None:
         for n, r in enumerate(target.observed)
     }
     bounded = replace(misfit, by_condition=by_row)
-    along = _along(model, list(target.observed)) if _missed(model, list(target.observed)) else math.inf
+    sized = model.family.bounded_noise or _missed(model, list(target.observed))
+    along = _along(model, list(target.observed)) if sized else math.inf
     return HeldOut(squares, floor, count, bounded, fit.converged, along=along)
+
+
+def _stepped(
+    model: Model, target: Target, fit: Fit, step: Real, seen: NDArray[np.bool_], residual: Real
+) -> Real | None:
+    """Return the residuals (N,) a step from a fit, as much of it as brings what was seen no further off.
+
+    What a few blocks say little of takes a step far beyond where its slopes hold. None where nothing is predicted.
+    """
+    before, out = float(residual[seen] @ residual[seen]), None
+    for fraction in (*RULES.fractions, 0.0):
+        u = fit.u.copy()
+        u[fit.free] = np.clip(fit.u[fit.free] + fraction * step, model.low[fit.free], model.high[fit.free])
+        found = residuals(model, target, u)
+        if found is None:
+            continue
+        whole = stacked(model, target, fit.free, u, found, fit.slope)[1]
+        out = np.concatenate(list(found.values()))
+        if float(whole[seen] @ whole[seen]) <= before:
+            break
+    return out
 
 
 def _apart(model: Model, target: Target, fit: Fit, fold: Fold) -> tuple[Mapping[int, Real], Real, bool]:

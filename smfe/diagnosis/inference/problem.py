@@ -68,6 +68,8 @@ class Cause:
     begin: Values = field(default_factory=dict, compare=False)
     """Values of nuisances and of its own parameters where the data have been seen to fit with it (SI); none: not known.
     What competes with a cause may be far off without it."""
+    law_of: str = ""
+    """What it is a law of, where these data cannot hold two laws of one thing: one of them only is in a model."""
     equivalent: Callable[[Mapping[str, float]], tuple[float, ...]] | None = None
     """From values to other ones of the parameters that predict (nearly) the same: a symmetry of the cause. Of two that
     fit alike the nearer to the null is taken."""
@@ -141,6 +143,16 @@ class Abilities(Protocol):
     @property
     def masks(self) -> bool:
         """Whether a cause may hide from what was declared, and that from it: data of few values that all move alike."""
+        return False
+
+    @property
+    def bounded_noise(self) -> bool:
+        """Whether data are whitened by no less than their noise, so that what scatters with it is known from above."""
+        return False
+
+    @property
+    def supple(self) -> bool:
+        """Whether causes have parameters enough to take up what others do: little left is no sign that all is found."""
         return False
 
     def measured_noise(self, condition: Condition) -> Real | None:

@@ -422,6 +422,15 @@ class Bench:
         shapes = product(*([s for s in here.acting if s.cause == k] for k in causes))
         return max((combined_gain(self.model, here, s) for s in shapes), default=0.0)
 
+    def first_order_size(self, at: Fit, k: int) -> float:
+        """Return what one more cause changes by itself [1], as the linearisation has it."""
+        model, here = self.model, self.tangent(at)
+        best = max((s for s in here.acting if s.cause == k), key=lambda s: combined_gain(model, here, (s,)))
+        moved = best.u.copy()
+        moved[best.free] += np.linalg.lstsq(best.columns, -here.residual, rcond=RULES.determined)[0]
+        measurement = model.causes[k].kind == "measurement"
+        return self.worth.of_causes(model, list(at.residual), at.u, np.clip(moved, model.low, model.high), measurement)
+
     # --- What a fit predicts of conditions that it was not fitted to.
 
     def usable(self, at: Fit, causes: Sequence[int]) -> tuple[Scheme, ...]:

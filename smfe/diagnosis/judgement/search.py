@@ -51,7 +51,7 @@ def _searched(bench: Bench, most: int, begin: tuple[int, ...], steps: list[Step]
     if begin and (known := bench.extend(at, begin)).converged:
         at = _drop_idle(bench, known, steps, least=0)
     seen: set[tuple[int, ...]] = {(), at.causes}
-    while len(at.causes) < most and not (at.causes and not bench.matters(at, RULES.worth_a_search)):
+    while len(at.causes) < most and (not at.causes or bench.matters(at, RULES.worth_a_search) or _hides(bench, at)):
         step = _best_step(bench, at, steps)
         if step is None:
             return bench.fits[at.causes]
@@ -69,6 +69,21 @@ def _searched(bench: Bench, most: int, begin: tuple[int, ...], steps: list[Step]
             break
         seen.add(at.causes)
     return at
+
+
+def _hides(bench: Bench, at: Fit) -> bool:
+    """Whether a fit that leaves next to nothing may have taken up what another cause does, and that would matter.
+
+    Friction that nobody declared has parameters enough to look nearly like one that differs between the directions:
+    what it leaves is small, what it says is not.
+    """
+    if not bench.model.family.supple:
+        return False
+    gains = {k: bench.first_order(at, (k,)) - charge(bench.model, (k,)) for k in _others(bench, at)}
+    return any(
+        gain > RULES.proven and gain > bench.threshold(at) and bench.first_order_size(at, k) >= bench.worth.material
+        for k, gain in gains.items()
+    )
 
 
 def _within_limits(bench: Bench, at: Fit, steps: list[Step]) -> Fit:
@@ -114,10 +129,12 @@ def _best_step(bench: Bench, at: Fit, steps: list[Step]) -> Fit | None:
     return _best_pair(bench, at, others, [added[0] for _, added in _ordered(bench, at, found)][:2], steps)
 
 
-def _others(bench: Bench, at: Fit) -> list[int]:
-    """Causes that are no variant of one that is in."""
-    ids = {bench.model.causes[k].id for k in at.causes}
-    return [k for k, cause in enumerate(bench.model.causes) if cause.id not in ids]
+def _others(bench: Bench, at: Fit, replaced: int | None = None) -> list[int]:
+    """Causes that are no variant of one that is in, and no other law of what one is a law of, but for one replaced."""
+    causes = bench.model.causes
+    ids = {causes[k].id for k in at.causes}
+    laws = {causes[k].law_of for k in at.causes if k != replaced} - {""}
+    return [k for k, cause in enumerate(causes) if cause.id not in ids and cause.law_of not in laws]
 
 
 def _promising(bench: Bench, at: Fit, others: Sequence[int], limit: float) -> list[int]:
@@ -232,7 +249,7 @@ def _best_pair(bench: Bench, at: Fit, others: Sequence[int], first: Sequence[int
         return None
     acting = {s.cause for s in bench.tangent(at).acting}
     able = [k for k in others if k in acting or bench.far([k])]
-    pairs = [p for p in combinations(able, 2) if bench.model.causes[p[0]].id != bench.model.causes[p[1]].id]
+    pairs = [p for p in combinations(able, 2) if _compatible(bench, p)]
     gains = {p: bench.first_order(at, p) for p in pairs}
     alone = {k: bench.first_order(at, (k,)) for k in able}
     # Of a pair each must do more than a parameter of noise beside the other: else one of them alone has been tried.
@@ -258,6 +275,12 @@ def _best_pair(bench: Bench, at: Fit, others: Sequence[int], first: Sequence[int
     return None
 
 
+def _compatible(bench: Bench, pair: tuple[int, int]) -> bool:
+    """Whether two causes may be in one model: no variants of one, and no two laws of one thing."""
+    one, other = (bench.model.causes[k] for k in pair)
+    return one.id != other.id and not (one.law_of and one.law_of == other.law_of)
+
+
 def _drop_idle(bench: Bench, at: Fit, steps: list[Step], least: int = 1) -> Fit:
     """Drop causes that a later one, or a release, has made idle, the idlest first, down to the `least` of them."""
     while len(at.causes) > least:
@@ -278,6 +301,6 @@ def _drop_idle(bench: Bench, at: Fit, steps: list[Step], least: int = 1) -> Fit:
 def rivals(bench: Bench, at: Fit, k: int) -> list[Fit]:
     """Fits of the hypotheses that have another cause in place of one."""
     smaller = bench.reduce(at, k)
-    near = _promising(bench, smaller, _others(bench, at), smaller.chi2 - at.chi2)
+    near = _promising(bench, smaller, _others(bench, at, k), smaller.chi2 - at.chi2)
     found = [bench.extend(smaller, (j,), at.chi2 + RULES.far) for j in near]
     return [bench.confirmed(f) if f.chi2 < at.chi2 + RULES.far else f for f in found]

@@ -12,6 +12,7 @@ import numpy as np
 
 from smfe.diagnosis.inference.problem import Cause, Parameter
 from smfe.diagnosis.machine.axes import DeclaredAxis
+from smfe.diagnosis.machine.rules import RULES
 
 
 def axis_causes(axes: Mapping[str, DeclaredAxis], slowest: float = 0.0) -> tuple[Cause, ...]:
@@ -45,4 +46,5 @@ def _fall(axis: str) -> Parameter:
 def _speed(axis: str, slowest: float) -> Parameter:
     # Friction that has fallen long before the slowest feed is not seen: any force would do, and no fit of it ends.
     low = min(max(slowest / 3.0, 5e-4), 4e-3)
-    return Parameter(f"stribeck_speed_{axis}", "mm/min", 6e-3, 2e-3, low, 0.1, shown=6e4, secondary=True)
+    known = (RULES.stribeck[1], 6e4)
+    return Parameter(f"stribeck_speed_{axis}", "mm/min", RULES.stribeck[0], 2e-3, low, 0.1, *known, secondary=True)

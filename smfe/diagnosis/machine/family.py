@@ -11,6 +11,7 @@ import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from smfe.diagnosis.frf.causes import OF_DECLARED, RESIDUAL
 from smfe.diagnosis.frf.changed import Changed, Shaken
 from smfe.diagnosis.frf.modes import JOINTS, ModalFrfs
 from smfe.diagnosis.frf.noise import Excited, excited_of, kept
+from smfe.diagnosis.frf.rules import RULES as FRF_RULES
 from smfe.diagnosis.frf.workshop import SENSORS, measured
 from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
 from smfe.diagnosis.machine.axes import DeclaredAxis, nuisances, slide
@@ -82,11 +84,29 @@ class MachineOfAxes(ModalFrfs):
             for c in super().causes
             if c.id not in OF_DECLARED and not any(p.name in own for p in c.parameters)
         ]
+        if self._count_of_levels < RULES.levels_of_two_laws:
+            modal = [replace(c, law_of="joint") if c.id in JOINTS else c for c in modal]
         feeds = [abs(v) for c in self.conditions for v in self._feed(c).values() if v]
         seen = axis_causes(self.axes, min(feeds, default=0.0))
         driven = [replace(c, begin=self.with_cause.get(c.key, {})) for c in seen]
         every = (*driven, *modal)
         return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
+
+    @property
+    def bounded_noise(self) -> bool:
+        """Hits scatter as thousands of values say, and 1 % of each line and of each column comes on top."""
+        return True
+
+    @property
+    def supple(self) -> bool:
+        """A curve of friction for each axis, modes and gains that are fitted anew look like much else."""
+        return True
+
+    @cached_property
+    def _count_of_levels(self) -> int:
+        """How many levels the machine was hit at."""
+        levels = sorted(math.log(abs(excited_of(c).level)) for c in self.conditions if isinstance(c.data, Excited))
+        return 1 + sum(b - a > FRF_RULES.same_level for a, b in pairwise(levels)) if levels else 0
 
     @property
     def begin(self) -> Values:

@@ -21,6 +21,12 @@ class MachineRules:
     """Displacement over which a guideway comes loose [m]: static friction over it is the stiffness of its contact."""
     contact_spread: float = 1.0  # prior standard deviation of the compliance of a contact, relative
     loss: tuple[float, float] = (0.1, 0.2)  # loss factor of a contact, and its prior standard deviation
+    stribeck: tuple[float, float] = (6e-3, 4e-3)
+    """Speed over which friction falls, where nobody states it, and its prior standard deviation [m/s]: on guideways and
+    their drives 1 to 15 mm/s. Two feeds alone tell a small fall over a large speed from a large one over a small."""
+    levels_of_two_laws: int = 3
+    """Levels of hits from which a joint may both slip and harden: of two levels the stiffness at rest and one law take
+    all that there is, and a second law what the first, with one stiffness a hit, leaves."""
     slowest: float = 0.2  # speed over the feed to which hits slow a slide down, at the least
     slip: float = 0.3  # share of a contact's stiffness that a hit of 1 N s takes: prior standard deviation
     above: float = 0.03

@@ -5,6 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from smfe.diagnosis.inference.cross_validation import within
+from smfe.diagnosis.inference.fit import Target, fit
+from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 from smfe.diagnosis.judgement.diagnose import diagnose
 
@@ -58,3 +61,29 @@ def test_what_leaves_structure_is_not_named_by_blocks_of_values():
     family = measured(0, stuck=3.0, sliding=-3.0)
     wrong = tuple(replace(c, observed=c.observed + 1.5 * wave(5)) for c in family.conditions)
     assert diagnose(replace(family, conditions=wrong)).verdict == "unknown"
+
+
+@dataclass(frozen=True)
+class Curved(Two):
+    """A force that falls over a speed: a small one over a small speed is nearly a larger one over a larger."""
+
+    nuisances: tuple = (Parameter("fall", "N", 20.0, 1.0), Parameter("speed", "m/s", 0.02, 0.01, 1e-3))
+    causes: tuple = ()
+
+    def predict(self, condition, values):
+        return values["fall"] * np.exp(-(X + condition.settings["feed"]) / values["speed"])
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_blocks_are_predicted_no_worse_for_a_step_that_its_slopes_promise_in_vain(seed):
+    """Where the first block alone tells the speed, a step without it goes to anything: a force of 100 in the block."""
+    plain = Curved((Condition("one", {"feed": 0.0}), Condition("other", {"feed": 0.02})))
+    noise = np.random.default_rng(seed)
+    exact = (plain.predict(c, {"fall": 20.0, "speed": 0.02}) for c in plain.conditions)
+    shown = [y + noise.standard_normal(X.size) for y in exact]
+    seen = tuple(replace(c, observed=y) for c, y in zip(plain.conditions, shown, strict=True))
+    model = Model(replace(plain, conditions=seen), seen)
+    target = Target(dict(enumerate(shown)), model.null())
+    held = within(model, target, fit(model, target, (), model.null()))
+    # Noise has 8 in a block.
+    assert max(held.squares.values()) < 30.0

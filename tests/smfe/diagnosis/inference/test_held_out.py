@@ -1,12 +1,13 @@
 """Claims about what a gain on held-out conditions proves."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from smfe.diagnosis.inference.cross_validation import HeldOut, compare
-from smfe.diagnosis.inference.misfit import Misfit
+from smfe.diagnosis.inference.cross_validation import HeldOut, _along, compare
+from smfe.diagnosis.inference.misfit import Misfit, NoiseKnowledge
 
 
 def predicted(squares: list[float], along: float) -> HeldOut:
@@ -31,3 +32,16 @@ def test_what_acts_in_one_condition_of_ten_is_proven_by_what_it_wins_there(
     found = compare(without, predicted([2.0] * 10, along), np.random.default_rng(0))
     assert found.db > 1.0
     assert found.proven is proven
+
+
+@pytest.mark.parametrize(
+    ("bounded", "off", "along"), [(False, 0.0, math.inf), (True, 0.0, 1.0), (True, 0.01, math.inf)]
+)
+def test_noise_that_was_measured_is_known_where_more_than_it_is_allowed_for(
+    bounded: bool, off: float, along: float
+) -> None:
+    """Six thousand values know a scatter within 2 %; errors of a prediction that nothing whitens are no noise."""
+    family = SimpleNamespace(model_error=off, roughness=0.0, bounded_noise=bounded, measured_noise=lambda c: None)
+    own = dict.fromkeys(range(7), 6048.0)
+    model = SimpleNamespace(family=family, conditions=[None] * 7, noise_knowledge=NoiseKnowledge(math.inf, own))
+    assert _along(model, list(range(7))) == along  # type: ignore[arg-type]

@@ -547,3 +547,36 @@ def test_a_declared_value_and_a_cause_are_both_named():
     assert (found.verdict, set(ids(found))) == ("named", {"force_coefficients", "worn"})
     healthy = tuple(replace(c, observed=np.array([e])) for c, e in zip(places, noise, strict=True))
     assert diagnose(Levels(healthy), worth=WORTH).verdict == "consistent"
+
+
+@dataclass(frozen=True)
+class Curved(Scaled):
+    """A curve of two parameters, and a difference between directions that one of them takes up all but a little of."""
+
+    causes: tuple = (
+        Cause("curve", "a curve", (Parameter("level", "1", 0.0, 1.0), Parameter("slope", "1", 0.0, 1.0))),
+        Cause("difference", "a difference between the directions", (Parameter("difference", "1", 0.0, 1.0),)),
+    )
+
+    @property
+    def supple(self):
+        return True
+
+    def predict(self, condition, values):
+        sign = 1.0 if condition.settings["feed"] > 0.5 else -1.0
+        curve = values.get("level", 0.0) * SHAPES[2] + values.get("slope", 0.0) * SHAPES[3]
+        apart = values.get("difference", 0.0) * (SHAPES[3] + 0.04 * sign * SHAPES[4])
+        return super().predict(condition, values) + curve + apart
+
+
+def test_a_cause_that_another_hides_is_found_if_it_matters_however_little_the_other_leaves():
+    """A fifth of what is measured, of which all but 0.8 % looks like twice the slope: a likelihood ratio of 80."""
+    truth = {"level": 40.0, "slope": 20.0, "difference": 20.0}
+    found = diagnose(measured(truth, kind=Curved), worth=WORTH)
+    assert (found.verdict, {c.id for c in found.causes}) == ("named", {"curve", "difference"})
+    slope = next(p for c in found.causes for p in c.parameters if p.name == "slope")
+    assert abs(slope.value - 20.0) < 1.5 * (slope.high - slope.low)
+    assert slope.high < 35.0
+    # One that would change less than matters is not looked for.
+    little = diagnose(measured(truth | {"difference": 4.0}, kind=Curved), worth=WORTH)
+    assert [c.id for c in little.causes] == ["curve"]
