@@ -82,7 +82,12 @@ friction that are fitted anew cannot take (`--material 3` writes the table).
 `make exam-machine` hides friction of the guideways, its asymmetry, micro-slip of a joint and wrong servo gains, each
 alone and in pairs, in a simulated portal with three feed axes (`tests/truth/three_axes.py`), and counts what `smfe
 diagnose` says of hammer sets at rest and in motion, at two levels. Answers are kept as they come, each with the state
-of the code that gave it (`tests/exam/answers/machine.jsonl`), so that it goes on where it was interrupted.
+of the code that gave it (`tests/exam/answers/machine.jsonl`), so that it goes on where it was interrupted. What is
+hidden is raised until it changes the real part of a compliance by 7 % where that is most negative. Only the trial below
+has been sat yet, of seeds that were looked at.
+
+```{include} machine_exam_table.md
+```
 """
 """Of the exams that are sat through campaign files, `exam.campaigns` and `exam.machine`."""
 
