@@ -229,11 +229,12 @@ def sit(
     answers = [Said.read(line) for line in kept.read_text().splitlines()] if kept.exists() else []
     done = {a.case for a in answers}
     waiting = [case for case in every if case not in done]
-    with kept.open("a") as out:
-        for answer in _answered(waiting, jobs, patience, until, ask):
-            answers.append(answer)
-            print(json.dumps(asdict(answer)), file=out, flush=True)
-            print(f"{len(answers)} {answer.line}", file=sys.stderr, flush=True)
+    for answer in _answered(waiting, jobs, patience, until, ask):
+        answers.append(answer)
+        # Opened anew each time: a file that git has replaced meanwhile would take the rest with it.
+        with kept.open("a") as out:
+            print(json.dumps(asdict(answer)), file=out)
+        print(f"{len(answers)} {answer.line}", file=sys.stderr, flush=True)
     return answers
 
 

@@ -64,6 +64,19 @@ def test_answers_are_kept_and_those_of_an_earlier_code_may_be_asked_again(tmp_pa
     assert len(kept.read_text().splitlines()) == len(every) - 1
 
 
+def test_answers_outlast_a_file_that_is_replaced_while_an_exam_is_sat(tmp_path: Path) -> None:
+    kept, every = tmp_path / "machine.jsonl", cases(3, 0, 0, fresh=False)
+
+    def ask(case: Case, patience: float) -> Said:
+        if case == every[1]:  # as git does: another file of the same name
+            (tmp_path / "other").write_text(kept.read_text())
+            (tmp_path / "other").replace(kept)
+        return truthful(case)
+
+    sit(every, kept, 1, 1.0, ask=ask)
+    assert len(kept.read_text().splitlines()) == len(every)
+
+
 @pytest.mark.slow
 def test_a_hit_that_leans_is_one_motion() -> None:
     """Where all is linear it is the sum of its parts, along both axes."""
