@@ -333,7 +333,10 @@ class Bench:
         for kind in zip(*found, strict=True):
             best = sorted(kind, key=self._misfit)[: RULES.named_starts]
             near.append(min((fit(self.model, few, causes, u, only=own).u for u in best), key=self._misfit))
-        near = [u for u in near if self._misfit(u) < RULES.lost * at.chi2]
+        # Beside declared nuisances the whole fit is no measure: what is hidden has moved them by what they must first
+        # move back. What explains most of what the same nuisances leave without it is no start that is lost.
+        most_left = [max(RULES.lost * at.chi2, RULES.halfway * self._misfit(u)) for u in kinds]
+        near = [u for u, left in zip(near, most_left, strict=True) if self._misfit(u) < left]
         if few is self.target:
             return near
         warm = [fit(self.model, few, causes, u, most=most, loose=RULES.warm) for u in near]
