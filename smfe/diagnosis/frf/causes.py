@@ -50,6 +50,15 @@ def _there(id_: str, title: str, name: str, variant: str) -> Cause:
     return _cause(id_, title, Parameter(name, "0/1", 0.0, 1.0, 0.0, 1.5), variant=variant, starts=((1.0,),))
 
 
+def _quarter(a: str, b: str) -> Cause:
+    """Return an accelerometer that is turned by a right angle, one way (beyond one half) or the other (below)."""
+    name, (about,) = f"quarter_{a}{b}", set(AXES) - {a, b}
+    title = f"the accelerometer is turned by a right angle about {about}"
+    return _cause(
+        "sensor_axis", title, Parameter(name, "0/1", 0.0, 1.0, -1.5, 1.5), variant=name, starts=((1.0,), (-1.0,))
+    )
+
+
 def _percent(name: str, scale: float = 0.01, low: float = -0.9, high: float = 0.9, unit: str = "%") -> Parameter:
     return Parameter(name, unit, 0.0, scale, low, high, shown=100.0)
 
@@ -203,6 +212,8 @@ def modal_causes(
     residual = (Parameter(n, "um/N", 0.0, small, low, size, shown=1e6) for n, low in lowest.items())
     signs = {"force": "the force sensor", **{a: f"the accelerometer along {a}" for a in AXES}}
     exchanged = {f"exchanged_{a}{b}": f"{a} and {b} of the accelerometer are exchanged" for a, b in PLANES}
+    # A block of three sensors that is mounted wrong is turned by a right angle: two axes exchanged, one turned round.
+    quarters = [_quarter(a, b) for a, b in PLANES]
     return (
         depends(*matrix("posture", whole, far, "%/m")),
         *([depends(*matrix("curved", whole, far, "%/m"), bend, variant="curved")] if places > 3 else []),
@@ -221,6 +232,7 @@ def modal_causes(
         # Gains, turned axes, a skew and the scale of all modes are nuisances; a fit from them reaches none of these.
         *(_there("sensor_gain", f"the sign of {said}", f"reversed_{a}", f"sign_{a}") for a, said in signs.items()),
         *(_there("sensor_axis", said, n, n) for n, said in exchanged.items()),
+        *quarters,
         _cause("accelerometer_mass", "mass of the sensor", Parameter("sensor_mass", "kg", 0.0, 0.05, 0.0, 100.0)),
     )
 

@@ -29,7 +29,7 @@ from smfe.diagnosis.inference.problem import Parameter, Values
 
 _ACCELEROMETER = (
     *(f"{what}_{a}" for what in ("gain", "turned", "reversed") for a in AXES),
-    *(f"{what}_{a}{b}" for what in ("talk", "exchanged") for a, b in PLANES),
+    *(f"{what}_{a}{b}" for what in ("talk", "exchanged", "quarter") for a, b in PLANES),
 )
 _LEANS = tuple(f"lean_{a}{b}" for a, b in permutations(AXES, 2))
 _FORCE = ("gain_force", "reversed_force", *(f"reach_{a}" for a in AXES), *_LEANS)
@@ -86,9 +86,9 @@ def _small(name: str, unit: str, prior: float, most: float, given: str, said: st
 def measured(phi: Complex, frequency: Real, values: Values, accelerometer: bool = True) -> Complex:
     """Return a compliance at the tool [m/N] as the sensors measure it, shape (f, 3, 3).
 
-    Values are ``gain_force``, ``gain_x`` ..., ``reversed_x`` ..., ``exchanged_xy`` ..., ``turned_x`` ... [rad],
-    ``talk_xy`` ..., ``lean_xy`` (of hits along x towards y) ..., ``reach_x`` ..., ``skew`` [s]. A laser in place of the
-    accelerometer has none of its faults.
+    Values are ``gain_force``, ``gain_x`` ..., ``reversed_x`` ..., ``exchanged_xy`` ..., ``quarter_xy`` (1: x shows y
+    and y shows -x; -1: the other way round) ..., ``turned_x`` ... [rad], ``talk_xy`` ..., ``lean_xy`` (of hits along x
+    towards y) ..., ``reach_x`` ..., ``skew`` [s]. A laser in place of the accelerometer has none of its faults.
     """
     found = _matrices(tuple([values.get(n, 0.0) for n in SENSORS]))
     out = phi if found.force is None else phi @ found.force
@@ -173,6 +173,8 @@ def mounting(values: Values) -> Real:
         talk[rows, rows[::-1]] = values.get(f"talk_{a}{b}", 0.0)
         if values.get(f"exchanged_{a}{b}", 0.0) > 0.5:
             out[rows] = out[rows[::-1]]
+        if abs(quarter := values.get(f"quarter_{a}{b}", 0.0)) > 0.5:
+            out[rows] = math.copysign(1.0, quarter) * np.array([[1.0], [-1.0]]) * out[rows[::-1]]
     gains: Real = 1.0 + np.array([values.get(f"gain_{a}", 0.0) for a in AXES])
     gains *= [-1.0 if values.get(f"reversed_{a}", 0.0) > 0.5 else 1.0 for a in AXES]
     return np.asarray((talk @ out) * gains[:, None])

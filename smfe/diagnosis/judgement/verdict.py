@@ -235,7 +235,9 @@ def excluded(bench: Bench, best: Fit, rival: Fit, left: Misfit) -> bool:
         return True
     own = np.array([float(np.sum(rival.residual[r] ** 2) - np.sum(x**2)) for r, x in best.residual.items()])
     drawn = bench.rng(6, *best.causes, *rival.causes).integers(0, own.size, (RULES.draws // 5, own.size))
-    return float(np.quantile(own[drawn].sum(axis=1), RULES.band)) > 0.0
+    # What a rival moves beyond what was declared counts against it whatever is drawn: no condition carries it.
+    beyond = rival.chi2 - best.chi2 - float(own.sum())
+    return float(np.quantile(own[drawn].sum(axis=1), RULES.band)) + beyond > 0.0
 
 
 def lead(bench: Bench, best: Fit, rival: Fit) -> float:

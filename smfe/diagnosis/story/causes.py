@@ -118,6 +118,10 @@ ROWS: Mapping[str, Row] = {
     "sensor_axis/exchange": Row(MEASURED, "x and y of the force sensor are exchanged"),
     "sensor_axis/turned": Row(MEASURED, "a sensor is turned"),
     "sensor_axis": Row(MEASURED, "axes of the accelerometer are exchanged"),
+    **{
+        f"sensor_axis/quarter_{plane}": Row(MEASURED, f"the accelerometer is turned by a right angle about {about}")
+        for plane, about in (("xy", "z"), ("yz", "x"), ("zx", "y"))
+    },
     "sensor_axis/declared": Row(MEASURED, "a sensor is turned, or shows a share of what lies across it"),
     "sensor_offset": Row(MEASURED, "the force sensor has an offset"),
     "dynamometer_dynamics": Row(MEASURED, "the dynamometer vibrates itself"),
@@ -137,6 +141,7 @@ YES_OR_NO = (
     "sensor_axis/exchanged_xy",
     "sensor_axis/exchanged_yz",
     "sensor_axis/exchanged_zx",
+    *(f"sensor_axis/quarter_{plane}" for plane in ("xy", "yz", "zx")),
     *(f"sensor_gain/sign_{a}" for a in ("force", "x", "y", "z")),
 )
 """Causes whose number says only that they are there."""

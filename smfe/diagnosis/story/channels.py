@@ -68,7 +68,7 @@ def mended(
         c.key
         for c in family.causes
         if c.id in ids
-        and any(p.name.startswith(("sign", "reversed_", "exchange", "turned_over")) for p in c.parameters)
+        and any(p.name.startswith(("sign", "reversed_", "exchange", "quarter_", "turned_over")) for p in c.parameters)
     }
     return changed, held, said
 
@@ -106,6 +106,10 @@ def _of_channels(family: Family, values: Values, ids: set[str], t: Tolerances) -
             if max(values.get(f"exchanged_{a}{b}", 0.0), values.get(f"exchanged_{b}{a}", 0.0)) > 0.5:
                 for motion in MOTIONS:
                     yield f"exchange {motion}", (f"{motion}_{a}", f"{motion}_{b}")
+            if abs(quarter := values.get(f"quarter_{a}{b}", 0.0)) > 0.5:
+                for motion in MOTIONS:
+                    yield f"exchange {motion}", (f"{motion}_{a}", f"{motion}_{b}")
+                    yield f"{motion}_{b if quarter > 0.0 else a}", -1.0
 
 
 def _beyond(values: Values, name: str, t: Tolerances) -> float:

@@ -152,6 +152,10 @@ ROWS: Mapping[str, tuple[str, str]] = {
         "Exchange the columns of {exchanged} in [channels]",
         "Check which channel is which axis: knock on the tool along x, y and z, one at a time",
     ),
+    "sensor_axis/quarter": (
+        "Exchange the columns of {exchanged} in [channels], and then set sign = -1 on {round}; or turn the sensor back",
+        "Mount the sensor along the axes of the machine",
+    ),
     "sensor_axis/turned": (
         "Turn the sensor back by {angle_found}, or declare its axes as it is mounted",
         "Mount the sensor along the axes of the machine",
@@ -194,7 +198,7 @@ def action(cause: FoundCause, facts: Mapping[str, str] | None = None) -> str:
     if cause.id == "sensor_gain" and (turned := _turned_round(cause)):
         return turned
     if cause.id == "sensor_axis" and "exchanged" in values and cause.variant != "turned_over":
-        known, anyhow = ROWS["sensor_axis"]
+        known, anyhow = ROWS["sensor_axis/quarter" if "round" in values else "sensor_axis"]
     try:
         return known.format_map(values) if known else anyhow
     except KeyError:
@@ -210,6 +214,9 @@ def _made(cause: FoundCause) -> dict[str, object]:
             found["dead_time"] = f"{Number(e, False)} more"
         if name.startswith("exchanged_") and e.value > 0.5:
             found["exchanged"] = " and ".join(f"acceleration_{a}" for a in name[-2:])
+        if name.startswith("quarter_") and abs(e.value) > 0.5:
+            found["exchanged"] = " and ".join(f"acceleration_{a}" for a in name[-2:])
+            found["round"] = f"acceleration_{name[-2] if e.value > 0.0 else name[-1]}"
         if name == "exchange" and e.value > 0.5:
             found["exchanged"] = "force_x and force_y"
         if name == "skew":

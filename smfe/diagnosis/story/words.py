@@ -38,6 +38,7 @@ _SENSOR = {
     "talk": "cross-talk of {}",
     "reach": "hits along {} beside their point",
     "exchanged": "exchange of {}",
+    "quarter": "right angle from {}",
     "offset": "offset along {}",
     "sign": "reversal of channel {}",
     "residual": "flexibility {} of modes above the band",

@@ -418,6 +418,18 @@ def test_what_is_wrong_with_a_sensor_is_put_right_in_its_channel(tmp_path: Path)
     assert (x.column, x.scale, x.sign, x.delay) == pytest.approx(("ay", 1.0, -1.0, 50e-6))
 
 
+@pytest.mark.parametrize(("way", "turned"), [(1.0, "x"), (-1.0, "y")])
+def test_a_sensor_turned_by_a_right_angle_has_two_channels_exchanged_and_one_turned_round(
+    tmp_path: Path, way: float, turned: str
+) -> None:
+    given = campaign(tmp_path, CHANNELS, FORCE, MOTIONS.replace("sign = -1, ", ""), MODES, HIT)
+    family = modal(ONE)
+    whole = read(tmp_path, given, family, found(family, "sensor_axis/quarter_xy", quarter_xy=way))
+    told = whole.measurements[0].records[0].channels
+    assert (told["acceleration_x"].column, told["acceleration_y"].column) == ("ay", "ax")
+    assert {a for a in "xy" if told[f"acceleration_{a}"].sign == -1.0} == {turned}
+
+
 def test_a_sensor_that_may_as_well_be_right_keeps_its_channel(tmp_path: Path) -> None:
     given = campaign(tmp_path, CHANNELS, FORCE, MOTIONS, MODES, HIT)
     family = modal(ONE)

@@ -115,6 +115,7 @@ def test_coefficients_are_told_in_newtons_per_square_millimetre() -> None:
         ("sensor_gain", "gain_x", 880.665, 'the factor is that of "g" (of gravity)'),
         ("sensor_gain", "gain_force", -13.0, "scale = 1.149 on the force"),
         ("sensor_axis", "exchanged_xy", 1.0, "Exchange the columns of acceleration_x and acceleration_y in [channels]"),
+        ("sensor_axis", "quarter_xy", -1.0, "in [channels], and then set sign = -1 on acceleration_y"),
         ("sensor_axis", "exchange", 1.0, "Exchange the columns of force_x and force_y in [channels]"),
         ("time_skew", "skew", 50.0, "the motion comes 50 µs late"),
     ],
@@ -123,8 +124,10 @@ def test_the_advice_fits_the_fault(id_: str, name: str, value: float, said: str)
     cause = FoundCause(id_, "", "", "measurement", (Estimate(name, value, value, value, _unit(name)),), 9.0, None, None)
     advice = action(cause)
     assert said in advice
-    assert ("sign = -1" in advice) == (value == -200.0 or name == "reversed_x")
+    assert ("sign = -1" in advice) == (value == -200.0 or name in ("reversed_x", "quarter_xy"))
 
 
 def _unit(name: str) -> str:
-    return {"skew": "us", "exchange": "1", "exchanged_xy": "0/1", "reversed_x": "0/1"}.get(name, "%")
+    return {"skew": "us", "exchange": "1", "exchanged_xy": "0/1", "quarter_xy": "0/1", "reversed_x": "0/1"}.get(
+        name, "%"
+    )
