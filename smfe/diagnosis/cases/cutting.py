@@ -17,6 +17,7 @@ from smfe.campaign import Campaign, CuttingTest, LimitsOf
 from smfe.diagnosis.cases.case import Case, modes_named
 from smfe.diagnosis.cases.experiments import PROPOSALS
 from smfe.diagnosis.checks.suspect import Suspect, note
+from smfe.diagnosis.cutting.chatter_line import vibrating_line
 from smfe.diagnosis.cutting.forces import cutting_family
 from smfe.diagnosis.cutting.limits import Limit, Spread, Trial, bracketed, limit_family
 from smfe.diagnosis.cutting.orders import SteadyCut
@@ -218,7 +219,8 @@ def _trials(
         verdict = test.observed or judged.verdict
         if verdict in ("stable", "chatter"):
             measured = verdict == judged.verdict == "chatter" and math.isfinite(judged.chatter_frequency_Hz)
-            frequency = judged.chatter_frequency_Hz if measured else None
+            assert campaign.tool is not None
+            frequency = vibrating_line(judged, campaign.tool.teeth) if measured else None
             start, end = judged.interval_s
             # A line is read to a part of the distance of the lines that its record resolves: evenly spread within one.
             read = 1.0 / (math.sqrt(12.0) * (end - start))

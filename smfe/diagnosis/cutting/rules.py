@@ -67,6 +67,9 @@ class CuttingRules:
     loudest: float = 1.0
     """Logarithm of the size of a line over the largest at a crossing by which another may be the one observed: a cut
     chatters with lines that lie a tooth passing apart, and which is the largest depends on where they are measured."""
+    harmonics_of_chatter: tuple[int, ...] = (1, 2)  # of the vibration, whose lines a record of chatter shows
+    passings_away: int = 3  # tooth passings from that vibration at which its lines are still large
+    same_line: float = 0.6  # distance of lines that are one, in lines that a record resolves
     not_observed: float = 3.0  # of these together, beyond which a crossing is not the one observed
     deepest_observed: float = 2.0  # depth over that of a limit, down to which its crossings are looked for
     kept_cuts: int = 200  # converged limits that are kept for their slopes
