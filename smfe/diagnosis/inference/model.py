@@ -35,8 +35,8 @@ class Model:
     """Predictions of a family, as functions of one vector of scaled parameters.
 
     `conditions` are all that may be asked for: measured, held out and proposed. `helpers` predict where it takes long.
-    Of declared parameters (`Parameter.given`) the priors of some are `released`, made too wide to matter, and some are
-    `fixed` at what was declared.
+    Of declared parameters (`Parameter.given`) the priors of some are `released` (names), made too wide to matter, and
+    some are `fixed` (ids) at what was declared.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Model:
         self.low = (np.array([p.low for p in parameters], dtype=float) - self.start) / self.scale
         self.high = (np.array([p.high for p in parameters], dtype=float) - self.start) / self.scale
         self.weight = self.scale / np.array([p.prior for p in parameters], dtype=float)
-        self.weight[[p.given in released for p in parameters]] *= RULES.released
+        self.weight[[p.name in released for p in parameters]] *= RULES.released
         kept = [j for j, p in enumerate(family.nuisances) if not (p.given and p.given in fixed)]
         self.nuisance: Index = np.array(kept, dtype=np.int64)
         ends = np.cumsum([len(family.nuisances), *(len(c.parameters) for c in self.causes)])

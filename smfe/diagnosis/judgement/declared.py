@@ -27,6 +27,9 @@ from smfe.diagnosis.inference.model import Index, Model
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import orthonormal
 
+SEPARATE = frozenset({"sensor_gain", "sensor_axis"})
+"""Ids whose parameters are faults of their own, of one channel or axis: none says that another is there."""
+
 Size = Callable[[Real, Real, str], float]
 """What the difference of two scaled vectors costs, relative, for a group: (before, after, id) -> size."""
 
@@ -38,7 +41,7 @@ class Released:
     given: tuple[str, ...]  # ids that the data do not separate, the one that fits best first
     ratio: float  # likelihood ratio of taking its priors off
     values: tuple[Mapping[int, float], ...]
-    """For each id: its parameters, index -> scaled value where it alone is released; to first order."""
+    """For each id: its parameters that have to be released, index -> scaled value where they alone are; first order."""
     deviations: tuple[Mapping[int, float], ...]  # their standard deviations, scaled
 
 
@@ -83,7 +86,7 @@ class Declared:
         found = cls(model, at.free, at.u, data, weight, score, {g: np.array(p) for g, p in groups.items()}, 1.0)
         free = weight.copy()
         for g in groups:
-            free = found.without(free, g)
+            free = found.without(free, found.groups[g])
         chi2 = at.chi2 + float(np.sum(residual[:values] ** 2 * (1.0 / variance - 1.0)))
         left = chi2 - found.merit(free) + found.merit(weight)
         # A parameter that keeps its prior takes one of the values and gives one, that prior. Few values leave much more
@@ -105,19 +108,43 @@ class Declared:
         """Return what priors gain over none, up to a constant: minus chi-square."""
         return float(self.score @ self.solve(weight)[0])
 
-    def without(self, weight: Real, group: str) -> Real:
-        """Return priors of which those of a group are so wide that they say nothing where the data say something."""
+    def without(self, weight: Real, place: Index) -> Real:
+        """Return priors of which some are so wide that they say nothing where the data say something."""
         less = weight.copy()
-        less[self.groups[group]] = self.weight[self.groups[group]] * RULES.released**2
+        less[place] = self.weight[place] * RULES.released**2
         return less
 
-    def informed(self, weight: Real, group: str) -> int:
-        """Return of how many directions of a group the data say something."""
-        return max(int(self._told(weight, group)[0].sum()), 1)
+    def informed(self, weight: Real, place: Index) -> int:
+        """Return of how many directions of some parameters the data say something."""
+        return max(int(self._told(weight, place)[0].sum()), 1)
 
-    def _told(self, weight: Real, group: str) -> tuple[NDArray[np.bool_], Real, Real]:
-        """Return directions of a group that the data say something of, what they say (0: nothing, 1: all), and all."""
+    def fewest(self, weight: Real, group: str) -> Index:
+        """Return the places of those of a group that have to be released.
+
+        Channels are instruments of their own: where one does what all of them do, the others are as declared. What
+        belongs together, as the coefficients of a material, is released together.
+        """
         place = self.groups[group]
+        if group not in SEPARATE or place.size == 1:
+            return place
+        whole, directions = self.merit(self.without(weight, place)), self.informed(weight, place)
+        chosen = place[:0]
+        for _ in place:
+            tried = [np.append(chosen, p) for p in place if p not in chosen]
+            merits = [self.merit(self.without(weight, t)) for t in tried]
+            chosen = np.sort(tried[int(np.argmax(merits))])
+            more = directions - self.informed(weight, chosen)
+            if more <= 0 or whole - max(merits) < self.over * float(stats.chi2.ppf(RULES.agreed, more)):
+                break
+        return chosen
+
+    def impossible(self, weight: Real, group: str, place: Index) -> bool:
+        """Whether channels that do what others do would have to be off by more than any is."""
+        u = self.solve(weight)[0]
+        return group in SEPARATE and bool(np.any(np.abs(u - self.possible(u))[place] > 0.0))
+
+    def _told(self, weight: Real, place: Index) -> tuple[NDArray[np.bool_], Real, Real]:
+        """Return directions of some that the data say something of, what they say (0: nothing, 1: all), and all."""
         covariance = self.solve(weight)[1]
         scale = np.sqrt(weight[place])
         told = (np.diag(1.0 / weight[place]) - covariance[np.ix_(place, place)]) * np.outer(scale, scale)
@@ -131,7 +158,7 @@ class Declared:
         """
         place = self.groups[group]
         u = self.possible(self.solve(weight)[0])
-        seen, known, vectors = self._told(weight, group)
+        seen, known, vectors = self._told(weight, place)
         if not seen.any():
             return 1.0, 0.0
         along = (vectors.T @ (u[place] * np.sqrt(weight[place])))[seen]
@@ -224,7 +251,7 @@ def strained(model: Model, target: Target, at: Fit, size: Size, material: float)
         return None
     # With these free all others go back to what was declared of them.
     asked = linear.u.copy()
-    asked[linear.free] = linear.possible(linear.solve(linear.without(linear.weight, ""))[0])
+    asked[linear.free] = linear.possible(linear.solve(linear.without(linear.weight, linear.groups[""]))[0])
     changed = size(linear.at_declared("", asked), asked, "")
     if changed < material:
         return None
@@ -240,36 +267,36 @@ def _released(linear: Declared, size: Size, material: float) -> list[Released]:
         open_ = [g for g in sorted(left) if beyond[g] > 0.0]
         if not open_:
             break
+        parts = {g: linear.fewest(weight, g) for g in left}
         # Each is charged for its parameters; what fits best has fitted what they differ by within their priors, too.
-        merits = {g: linear.merit(linear.without(weight, g)) - RULES.penalty * linear.informed(weight, g) for g in left}
+        without = {g: linear.without(weight, parts[g]) for g in left}
+        merits = {g: linear.merit(without[g]) - RULES.penalty * linear.informed(weight, parts[g]) for g in left}
         first = max(open_, key=lambda g: (merits[g], beyond[g]))
-        own, instead = linear.away(linear.without(weight, first), first), [first]
-        margin = float(stats.chi2.ppf(RULES.agreed, linear.informed(weight, first)))
+        own, instead = linear.away(without[first], first), [first]
+        margin = float(stats.chi2.ppf(RULES.agreed, linear.informed(weight, parts[first])))
         for g in sorted(left - {first}):
-            less = linear.without(weight, g)
-            if merits[g] < merits[first] - margin:
+            if merits[g] < merits[first] - margin or linear.impossible(without[g], g, parts[g]):
                 continue
             # It stands for the first where, with it released, the first is as declared again.
-            back = linear.away(less, first)
-            if not _beyond(linear, less, first, size, material) and _length(linear, first, back) < RULES.stands_for * (
-                _length(linear, first, own)
+            back = linear.away(without[g], first)
+            if not _beyond(linear, without[g], first, size, material) and _length(linear, first, back) < (
+                RULES.stands_for * _length(linear, first, own)
             ):
                 instead.append(g)
         # Of those that fit alike, but for the charge of a parameter, the one leads that leaves its tolerance least.
         alike = [g for g in instead if g in open_ and merits[g] >= merits[first] - 1.01 * RULES.penalty]
-        first = min(alike, key=lambda g: _length(linear, g, linear.away(linear.without(weight, g), g)))
+        first = min(alike, key=lambda g: _length(linear, g, linear.away(without[g], g)))
         instead.sort(key=lambda g: (g != first, -merits[g]))
         values, deviations = [], []
         for g in instead:
-            u, covariance = linear.solve(linear.without(weight, g))
-            u, place = linear.possible(u), linear.groups[g]
+            u, covariance = linear.solve(without[g])
+            u, place = linear.possible(u), parts[g]
             values.append(dict(zip(linear.free[place].tolist(), u[place].tolist(), strict=True)))
             spread = np.sqrt(np.maximum(np.diag(covariance)[place], 0.0))
             deviations.append(dict(zip(linear.free[place].tolist(), spread.tolist(), strict=True)))
-        less = linear.without(weight, first)
-        gained = linear.merit(less) - linear.merit(weight)
+        gained = linear.merit(without[first]) - linear.merit(weight)
         found.append(Released(tuple(instead), gained, tuple(values), tuple(deviations)))
-        weight = less
+        weight = without[first]
         left -= set(instead)
     return found
 
@@ -288,7 +315,8 @@ def _beyond(linear: Declared, weight: Real, group: str, size: Size, material: fl
     if p_value >= RULES.contradicted and (stated or alone < RULES.told):
         return 0.0
     # What a value costs that its prior holds back is that of the one which the data ask for.
-    u = linear.away(linear.without(weight, group) if p_value < RULES.contradicted else weight, group)
+    asked = linear.without(weight, linear.groups[group]) if p_value < RULES.contradicted else weight
+    u = linear.away(asked, group)
     cost = size(linear.at_declared(group, u), u, group)
     needed = material if p_value < RULES.contradicted else RULES.unstated * material
     return alone if cost >= needed else 0.0

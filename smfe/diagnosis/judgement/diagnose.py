@@ -356,7 +356,7 @@ def _prepared(
     missing = sorted(set(held_out) - {c.name for c in measured})
     if missing:
         raise InputError(f"{missing[0]!r} cannot be held out: it is not one of the measured conditions")
-    model = Model(family, [*measured, *family.proposals], helpers, {r.given[0] for r in released})
+    model = Model(family, [*measured, *family.proposals], helpers, _open(family, released))
     data = {r: np.asarray(c.observed, dtype=float) for r, c in enumerate(measured)}
     for r, y in data.items():
         if y.ndim != 1 or y.size == 0 or not np.all(np.isfinite(y)):
@@ -367,6 +367,12 @@ def _prepared(
     apart = {r: y for r, y in data.items() if measured[r].name in held_out}
     target = Target({r: y for r, y in data.items() if r not in apart}, model.null())
     return Bench(model, target, seed, progress, worth=worth), apart
+
+
+def _open(family: Family, released: Sequence[Released]) -> set[str]:
+    """Return the names of the parameters that are released: of each set those of the first id."""
+    names = [p.name for p in (*family.nuisances, *(p for cause in family.causes for p in cause.parameters))]
+    return {names[j] for r in released for j in r.values[0]}
 
 
 def _values(bench: Bench) -> int:
@@ -417,7 +423,7 @@ def _finding(
         values=model.values(at.u),
         values_before=model.values(declared),
         values_refitted=model.values(before.null().u),
-        given=_given(bench, at, {g for r in released for g in r.given}, worth),
+        given=_given(bench, at, {model.names[j] for r in released for v in r.values for j in v}, worth),
         immaterial=(
             # One that is large and not borne out is neither wrong nor too small to matter.
             *(c for c in _declared(bench, off, worth) if c.size is not None and c.size < worth.material),
@@ -516,7 +522,7 @@ def _given(bench: Bench, at: Fit, beyond: Collection[str], worth: Worth) -> tupl
         value, low, high = ((value + x) * p.shown for x in (0.0, -half, half))
         trusted = p.prior * p.shown
         known = (p.name, p.said, p.given, p.start * p.shown, trusted, value, low, high, p.unit)
-        found.append(GivenParameter(*known, p.given in beyond and not p.nameless, cost))
+        found.append(GivenParameter(*known, p.name in beyond and not p.nameless, cost))
     return tuple(found)
 
 
@@ -596,13 +602,13 @@ def _separating(bench: Bench, at: Fit, released: Sequence[Released]) -> Proposal
     model = bench.model
     rows = [r for r, c in enumerate(model.conditions) if c.observed is None]
     for chosen in (r for r in released if len(r.given) > 1):
-        others = {r.given[0] for r in released if r is not chosen}
+        others = _open(model.family, [r for r in released if r is not chosen])
         models, fits, titles = [], [], []
-        for given, values in list(zip(chosen.given, chosen.values, strict=True))[: RULES.contenders]:
+        for values in chosen.values[: RULES.contenders]:
             start = at.u.copy()
             start[list(chosen.values[0])] = 0.0
             start[list(values)] = list(values.values())
-            one = Model(model.family, model.conditions, model.helpers, {given, *others})
+            one = Model(model.family, model.conditions, model.helpers, {*(model.names[j] for j in values), *others})
             found = fit(one, bench.target, at.causes, np.clip(start, one.low, one.high))
             if found.converged:
                 models.append(one)

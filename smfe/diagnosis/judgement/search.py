@@ -122,11 +122,33 @@ def _best_step(bench: Bench, at: Fit, steps: list[Step]) -> Fit | None:
         tried = bench.extend(at, (k,), min(least + RULES.far, passing))
         found.append((bench.pursued(tried) if tried.chi2 < min(least, passing) else tried, (k,)))
     at = _settled(bench, at, [f for f, _ in found if f.converged])
-    limit = bench.threshold(at)
+    limit, found = bench.threshold(at), _with_shapes(bench, at, found)
     for candidate, added in _ordered(bench, at, found):
         if _passes(bench, at, candidate, added, limit, steps):
             return bench.fits[candidate.causes]
     return _best_pair(bench, at, others, [added[0] for _, added in _ordered(bench, at, found)][:2], steps)
+
+
+def _with_shapes(
+    bench: Bench, at: Fit, found: Sequence[tuple[Fit, tuple[int, ...]]]
+) -> list[tuple[Fit, tuple[int, ...]]]:
+    """Fit variants of the best cause that have fewer parameters with slopes of their own, where one had no slope yet.
+
+    At the null of a size its shape does nothing (the angle of a run-out): with slopes from there the shape stays where
+    it was, and a cause with more parameters and no shape wins what this one does as well.
+    """
+    ordered = _ordered(bench, at, found)
+    if not ordered:
+        return list(found)
+    model, (best, (first, *_)) = bench.model, ordered[0]
+
+    def shapeless(f: Fit, k: int) -> bool:
+        fewer = model.causes[k].id == model.causes[first].id and len(model.of_cause[k]) < len(model.of_cause[first])
+        mine = np.isin(f.free, model.of_cause[k])
+        still = sum(np.sum(np.square(x[:, mine]), axis=0) for x in f.slope.values())
+        return f.provisional and f.converged and f is not best and fewer and not np.all(still)
+
+    return [(bench.confirmed(f) if shapeless(f, added[0]) else f, added) for f, added in found]
 
 
 def _others(bench: Bench, at: Fit, replaced: int | None = None) -> list[int]:

@@ -36,7 +36,7 @@ def settled(family: MachineOfAxes) -> MachineOfAxes:
     near = _near(target, cost)
     best, begin, with_cause, least = held.values(u), {}, dict[str, dict[str, float]](), np.inf
     if not near:
-        loose = Model(replace(family, conditions=few, proposals=()), few, released=[p.given for p in family.nuisances])
+        loose = Model(replace(family, conditions=few, proposals=()), few, released=[p.name for p in family.nuisances])
         friction = [k for k, c in enumerate(held.causes) if c.id == "guideway_friction"]
         for k in friction:
             begin = {p.name: held.values(u)[p.name] for p in family.nuisances}

@@ -411,10 +411,42 @@ def test_releasing_a_group_is_the_fit_without_its_prior():
     target = Target({r: c.observed for r, c in enumerate(family.conditions)}, model.null())
     at = fit(model, target, (), model.null())
     (released,) = contradicted(model, target, at, lambda a, b, _: predicted_size(model, [0], a, b), 0.05)
-    loose = Model(family, family.conditions, released={"force_coefficients"})
+    loose = Model(family, family.conditions, released={"coefficients"})
     again = fit(loose, target, (), loose.null())
     assert released.ratio == pytest.approx(at.chi2 - again.chi2, rel=1e-3)
     assert model.scale[0] * released.values[0][0] == pytest.approx(loose.values(again.u)["coefficients"], rel=1e-6)
+
+
+GAINS = ("gain_common", "gain_x", "gain_y", "gain_z")
+
+
+@dataclass(frozen=True)
+class Channels(Scaled):
+    """Three channels of one sensor, each with a gain of its own beside the one that they have in common."""
+
+    nuisances: tuple = (
+        declared("coefficients", "force_coefficients", 0.05),
+        *(declared(name, "sensor_gain", 0.01) for name in GAINS),
+    )
+
+    def predict(self, condition, values):
+        whole = 1.0 + values["coefficients"] + values["gain_common"]
+        each = [(whole + values[f"gain_{a}"]) * shape for a, shape in zip("xyz", SHAPES, strict=False)]
+        return 100.0 * np.concatenate(each) + values.get("ripple", 0.0)
+
+
+@pytest.mark.parametrize("wrong", ["gain_y", "gain_common"])
+def test_one_gain_that_does_what_all_of_them_do_is_the_one_that_is_wrong(wrong):
+    """Gains of all channels, and what they have in common, trade with each other: free together they say +-50 % each.
+
+    One channel that reads 30 % too much is told from coefficients known within 5 %, and so is the whole sensor.
+    """
+    found = diagnose(measured({wrong: 0.3}, kind=Channels), worth=WORTH)
+    (gain,) = (c for c in found.causes if c.id == "sensor_gain")
+    assert found.verdict == "named"
+    assert [p.name for p in gain.parameters] == [wrong]
+    assert gain.parameters[0].low <= 0.3 <= gain.parameters[0].high < gain.parameters[0].low + 0.25
+    assert {g.name for g in found.given if g.beyond and g.cause == "sensor_gain"} == {wrong}
 
 
 def test_a_parameter_that_only_shapes_a_cause_may_end_on_its_bound():
