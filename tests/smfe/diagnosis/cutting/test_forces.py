@@ -67,22 +67,6 @@ def baseline(family: CuttingForces) -> dict[str, float]:
     return {p.name: p.start for p in family.nuisances} | {"helix": 0.1}
 
 
-def eccentric(teeth: int, size: float, angle: float) -> CuttingForces:
-    """Two cuts at half immersion with a tool whose axis is off, free of noise."""
-    tool, arc = Tool("16 mm", teeth), Engagement(0.0, 0.5 * math.pi)
-    t = np.arange(0.0, 1.05, 1e-4)
-    feeds = (4e-5, 8e-5)
-    named = {}
-    for feed in feeds:
-        cut = SteadyCut(80.0 * math.pi, feed, 2e-3, arc)
-        values = {"Ktc": 8e8, "Krc": 3e8, "Kac": 1e8, "helix": 0.3, "runout": size, "runout_angle": angle}
-        orders = rigid_orders(tool, cut, 6 * teeth + 1, values)
-        turning = np.exp(1j * np.outer(cut.rotation * t, np.arange(6 * teeth + 1)))
-        force = dict(zip("xyz", (turning @ orders).real.T, strict=True))
-        named[f"{feed:g} m"] = (make_record(t, {"force": force}), cut)
-    return cutting_family(named, tool, (8e8, 3e8, 1e8))
-
-
 @functools.cache
 def small() -> CuttingForces:
     return family_of(measure_cuts(Mill(helix=0.1, runout=1e-5), [FEEDS[1], Cut(air=True)], 0))
@@ -375,14 +359,6 @@ def test_a_workshop_is_consistent() -> None:
         r["condition"] = cut
     family = family_of(records, 0.05, edge=(20e3, 25e3, 3e3))
     assert diagnose(family, worth=MATTERS).verdict == "consistent"
-
-
-def test_an_axis_of_four_teeth_that_is_off_is_not_four_inserts_that_sit_as_they_like() -> None:
-    """Size and angle give the three radii; beside a size of zero the angle does nothing, and still has to be fitted."""
-    found = diagnose(eccentric(4, 1.2e-5, 0.6), worth=MATTERS)
-    (cause,) = found.causes
-    assert (cause.id, cause.variant) == ("runout", "")
-    assert {p.name: p.value for p in cause.parameters}["runout"] == pytest.approx(12.0, rel=0.02)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 from smfe.diagnosis.judgement import search as module
 from smfe.diagnosis.judgement.declared import Released
-from smfe.diagnosis.judgement.diagnose import as_declared
+from smfe.diagnosis.judgement.diagnose import as_declared, diagnose
 from smfe.diagnosis.judgement.hypotheses import Bench
 from smfe.diagnosis.judgement.search import Step, search
 from smfe.progress import silent
@@ -132,3 +132,40 @@ def test_what_fitted_nearly_the_same_data_best_is_tried_first(chi2):
     start = both.null()
     both.known = {(k,): replace(start, causes=(k,), chi2=left) for k, left in chi2.items()}
     assert module._promising(both, start, [0, 1], 10.0) == sorted([0, 1], key=lambda k: chi2.get(k, np.inf))
+
+
+AROUND = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
+SIZE = Parameter("wave", "1", 0.0, 1.0, 0.0, 100.0)
+TURN = Parameter("wave_angle", "1", 0.5, 0.3, -7.0, 7.0, secondary=True)
+PARTS = tuple(Parameter(f"part_{n}", "1", 0.0, 1.0) for n in range(3))
+
+
+@dataclass(frozen=True)
+class Waves(Abilities):
+    """A wave of some size and angle, or three shapes that add up to any wave of that length and more."""
+
+    conditions: tuple
+    nuisances: tuple = (Parameter("mean", "1", 0.0, 1.0),)
+    causes: tuple = (
+        Cause("wave", "a wave", (SIZE, TURN), starts=tuple((2.0, a) for a in (-2.5, -1.0, 0.5, 2.0))),
+        Cause("wave", "three shapes", PARTS, "shapes", starts=((2.0, 0.0, 0.0), (0.0, 2.0, 0.0))),
+    )
+    proposals: tuple = ()
+
+    def predict(self, condition, values):
+        shapes = np.array([np.cos(AROUND), -np.sin(AROUND), np.cos(3.0 * AROUND)])
+        parts = values.get("wave", 0.0) * np.cos(AROUND + values.get("wave_angle", 0.5))
+        return values["mean"] + condition.settings["grown"] * (
+            parts + np.array([values.get(f"part_{n}", 0.0) for n in range(3)]) @ shapes
+        )
+
+
+def test_a_shape_that_does_nothing_at_the_null_of_its_size_is_fitted_before_a_richer_variant_wins():
+    """With slopes from where the size is zero the angle stays at 0.5; nothing is left of the data but by that."""
+    made = tuple(Condition(f"cut {k}", {"grown": 1.0 + 0.2 * k}) for k in range(4))
+    family = Waves(made)
+    exact = [family.predict(c, {"mean": 0.0, "wave": 5.0, "wave_angle": 0.6}) for c in made]
+    family = Waves(tuple(replace(c, observed=x) for c, x in zip(made, exact, strict=True)))
+    (cause,) = diagnose(family).causes
+    assert (cause.id, cause.variant) == ("wave", "")
+    assert [p.value for p in cause.parameters] == pytest.approx([5.0, 0.6], abs=0.02)
