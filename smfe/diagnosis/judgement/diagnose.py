@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -423,7 +423,7 @@ def _finding(
         values=model.values(at.u),
         values_before=model.values(declared),
         values_refitted=model.values(before.null().u),
-        given=_given(bench, at, {model.names[j] for r in released for v in r.values for j in v}, worth),
+        given=_given(bench, at, released, worth),
         immaterial=(
             # One that is large and not borne out is neither wrong nor too small to matter.
             *(c for c in _declared(bench, off, worth) if c.size is not None and c.size < worth.material),
@@ -506,23 +506,30 @@ def _prior(model: Model, j: int) -> float:
     return p.prior / p.scale
 
 
-def _given(bench: Bench, at: Fit, beyond: Collection[str], worth: Worth) -> tuple[GivenParameter, ...]:
-    """Return each declared parameter beside what the data say of it."""
+def _given(bench: Bench, at: Fit, released: Sequence[Released], worth: Worth) -> tuple[GivenParameter, ...]:
+    """Return each declared parameter beside what the data say of it; of a set what they say of each alone."""
     model = bench.model
     sd = deviations(bench, at, None)
+    beyond = {j for r in released for values in r.values for j in values}
+    alone = {
+        j: (u, r.deviations[n][j]) for r in released for n in range(1, len(r.given)) for j, u in r.values[n].items()
+    }
     found = []
     for place, j in enumerate(at.free):
         p = model.parameters[j]
         if not p.given:
             continue
+        u, spread = alone.get(int(j), (float(at.u[j]), float(sd[place])))
+        there = at.u.copy()
+        there[j] = u
         declared = at.u.copy()
         declared[j] = 0.0
-        cost = worth.cost(model.values(declared), model.values(at.u)) if p.given not in MEASURED else None
-        value, half = p.start + p.scale * float(at.u[j]), RULES.interval * p.scale * float(sd[place])
+        cost = worth.cost(model.values(declared), model.values(there)) if p.given not in MEASURED else None
+        value, half = p.start + p.scale * u, RULES.interval * p.scale * spread
         value, low, high = ((value + x) * p.shown for x in (0.0, -half, half))
         trusted = p.prior * p.shown
         known = (p.name, p.said, p.given, p.start * p.shown, trusted, value, low, high, p.unit)
-        found.append(GivenParameter(*known, p.name in beyond and not p.nameless, cost))
+        found.append(GivenParameter(*known, int(j) in beyond and not p.nameless, cost))
     return tuple(found)
 
 

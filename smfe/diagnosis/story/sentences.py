@@ -102,6 +102,8 @@ def _given(finding: Finding, setting: Setting) -> Iterator[str]:
         either = [f"either {listed(names, 'or')} is wrong" for names in alike.values() if len(names) > 1]
         said = [f"Not {listed(sure, 'and')}"] * bool(sure) + either
         yield f"Is what you gave right? {_capital('; '.join(said))}."
+    elif told and finding.verdict in ("unknown", "insufficient_data"):
+        yield "Is what you gave right? Nothing contradicts it, but what is not understood may hide an error in it."
     elif told:
         yield "Is what you gave right? As far as these measurements tell, yes."
     else:
@@ -283,10 +285,12 @@ def _causes(finding: Finding, setting: Setting) -> Iterator[str]:
             continue  # it stands under what was given, with its numbers
         # The verdict has said what brakes the axis where that is all.
         friction = setting.friction if len(finding.causes) > 1 else None
-        numbers, worth = numbers_of(cause, True, friction), f"not proven on {where} that it was not fitted to"
+        numbers, worth = numbers_of(cause, True, friction), f"; not proven on {where} that it was not fitted to"
         if cause.gain_db is not None:
-            worth = _worth_of(cause.gain_db, where)
-        yield f"{_capital(_name(cause))}{f': {numbers}' if numbers else ''}; {worth}."
+            worth = f"; {_worth_of(cause.gain_db, where)}"
+        elif cause.variant == "declared" and finding.gain is not None and finding.gain.proven:
+            worth = ""  # what all of them gain there has been said with the verdict
+        yield f"{_capital(_name(cause))}{f': {numbers}' if numbers else ''}{worth}."
     for alike in sets_of(finding.causes):
         if len(alike) > 1:
             yield (
@@ -499,9 +503,11 @@ def _next(finding: Finding, setting: Setting) -> Iterator[str]:
         ]
         yield f"Next: {do}{price}. It would show what the measurements so far hide: {listed(shown)}."
     elif n.between:
+        # Many values that each differ by a tenth of the noise differ by much together.
+        apart = rounded(math.sqrt(n.discrimination), 2)
         yield (
-            f"Next: {do}{price}. There the predictions of {n.between} differ by {rounded(n.apart, 2)} times the noise; "
-            f"it settles the question with a probability of {100.0 * n.probability:.0f} %."
+            f"Next: {do}{price}. With it the predictions of {n.between} differ by {apart} standard deviations of the "
+            f"noise; it settles the question with a probability of {100.0 * n.probability:.0f} %."
         )
     else:
         yield f"Next: {do}{price}; {n.expected}."

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from smfe.diagnosis.checks.suspect import fault
+from smfe.diagnosis.inference.cross_validation import Gain
 from smfe.diagnosis.inference.thresholds import Detectable
 from smfe.diagnosis.judgement.finding import (
     Estimate,
@@ -163,6 +164,13 @@ def test_each_cause_has_a_sentence_with_its_numbers_and_what_it_is_worth() -> No
     assert gain.endswith("not proven on values that it was not fitted to.")
 
 
+def test_declared_values_of_a_set_are_proven_by_what_they_gain_on_conditions_left_out() -> None:
+    alike = [replace(GAIN, variant="declared", set=1), replace(DELAY, variant="declared", gain_db=None, set=1)]
+    found = Finding("named", "it is", tuple(alike), errors=ERRORS, gain=Gain(23.0, 1.0, 23.0, 0.99, 20.0))
+    assert "not proven" not in " ".join(say("cause", found))
+    assert "not proven" in " ".join(say("cause", replace(found, gain=Gain(0.2, 1.0, 0.2, 0.05, -1.0))))
+
+
 def test_what_remains_is_said_beside_the_gain() -> None:
     left = Remainder(3.0, 1e-9, 0.3, 0.12, ("a move",))
     found = Finding("unknown", "it is", (DELAY,), errors=ERRORS, remainder=left)
@@ -182,8 +190,8 @@ def test_what_the_data_do_not_separate_is_a_question_and_the_experiment_answers_
     found = Finding("ambiguous", "it is", (DELAY,), alternatives=((DELAY, FRICTION),), next_experiment=n)
     assert "do not tell which: a dead time or stribeck friction" in say("verdict", found)[0]
     assert say("next", found) == [
-        "Next: Hit the tool along x at rest (about 5 min). There the predictions of friction and a dead time differ by "
-        "12 times the noise; it settles the question with a probability of 97 %."
+        "Next: Hit the tool along x at rest (about 5 min). With it the predictions of friction and a dead time differ "
+        "by 3.0 standard deviations of the noise; it settles the question with a probability of 97 %."
     ]
     shows = replace(n, reveals=(Revealed("play in a joint", "gap", 1.2, np.inf, "um"),), between="")
     assert say("next", replace(found, next_experiment=shows))[0].endswith(
@@ -253,6 +261,7 @@ def test_what_was_given_comes_first_with_what_the_data_say_and_its_millimetres()
     # What the data do not narrow down is neither right nor wrong.
     assert "mass" not in " ".join(say("given", found))
     assert say("given", replace(found, given=(KRC,)))[0].endswith("As far as these measurements tell, yes.")
+    assert "yes" not in say("given", replace(found, verdict="unknown", given=(KRC,)))[0]
     assert say("given", replace(found, given=(MASS,))) == [
         "Is what you gave right? These measurements say nothing of it."
     ]
