@@ -324,6 +324,8 @@ class RigidDrive:
         Velocity gain [N s/m] and position gain [1/s]; None: the control law is not tested.
     delay : float
         Known delay from the logged to the acting force [s].
+    friction : FrictionLaw, optional
+        What is known of the friction of the guideways; its viscous part is found from the records.
     """
 
     axis: str
@@ -331,6 +333,7 @@ class RigidDrive:
     Kp: float | None = None
     Kv: float | None = None
     delay: float = 0.0
+    friction: FrictionLaw | None = None
 
 
 @dataclass(frozen=True)
@@ -889,7 +892,7 @@ def _baseline(table: Any, machine: Any) -> Baseline:
         drive = Drive(table.moving_mass, table.tip_mass, table.stiffness, table.damping)
         return AxisModel(table.axis, drive, table.servos(), table.friction.build(), table.evidence, table.period)
     if isinstance(table, schema.DriveBaseline):
-        return RigidDrive(table.axis, table.moving_mass, table.Kp, table.Kv, table.delay)
+        return RigidDrive(table.axis, table.moving_mass, table.Kp, table.Kv, table.delay, table.law())
     if isinstance(table, schema.LimitsBaseline):
         return LimitsOf(table.limits)
     if isinstance(table, schema.ModesBaseline):

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import fields
 from datetime import date, datetime
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar, cast
 
 from pydantic import BeforeValidator, Field, StrictBool, StrictInt, StrictStr, model_validator
 
@@ -14,6 +14,7 @@ from process.cut.force import CuttingCoefficients
 from process.cut.tool import Tool
 from process.drive.servo import Servo
 from process.errors import InputError
+from process.friction.laws import FrictionLaw
 from process.machine.machine import Machine
 from process.machine.modes import ModalModel
 from smfe.campaign import quantities as q
@@ -343,6 +344,10 @@ class AxisBaseline(Table):
         return {"": Servo(self.Kp, self.Ti, self.Kv, self.delay)}
 
 
+_SHARP = 1e6
+"""Sharpness [s/m] of a friction curve about rest where none is given."""
+
+
 class DriveBaseline(Table):
     """``[baseline]`` that predicts the drive force of a moving axis: rigid, with viscous friction."""
 
@@ -352,7 +357,27 @@ class DriveBaseline(Table):
     Kp: Annotated[float, q.quantity("viscosity", above=0.0)] | None = None
     Kv: q.PositiveFrequency | None = None
     delay: Delay = 0.0
+    friction: FrictionTable | None = None
     known: dict[StrictStr, dict[StrictStr, StrictStr]] | None = None
+
+    @model_validator(mode="after")
+    def _curve(self) -> DriveBaseline:
+        if self.friction is not None:
+            laws = ("viscous", "coulomb", "coulomb_viscous", "andersson")
+            if self.friction.law not in laws or self.friction.negative is not None:
+                raise InputError(
+                    f"friction of drive records is one of {', '.join(laws)}, alike in both directions; "
+                    "what differs is found"
+                )
+            self.law()
+        return self
+
+    def law(self) -> FrictionLaw | None:
+        """Return the law of the friction; over how far a guideway gives way before it slides the records tell."""
+        if self.friction is None:
+            return None
+        sharp = {} if self.friction.law != "andersson" or self.friction.kt is not None else {"kt": _SHARP}
+        return cast(FrictionLaw, self.friction.model_copy(update=sharp).build())
 
     @model_validator(mode="after")
     def _both_gains(self) -> DriveBaseline:

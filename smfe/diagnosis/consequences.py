@@ -11,7 +11,7 @@ import xarray as xr
 from process.errors import InputError
 from process.units import implausible
 from smfe.campaign import Campaign, CuttingTest
-from smfe.diagnosis.cases.known import known_values
+from smfe.diagnosis.cases.known import known_of, known_values
 from smfe.diagnosis.checks.suspect import Suspect
 from smfe.diagnosis.cutting.limits import CuttingLimits
 from smfe.diagnosis.drive.record import DriveRecordFamily
@@ -85,7 +85,8 @@ def with_consequences(
     `happened` says of each cutting test, by the name of its file, whether it was "stable" or "chatter"; without it they
     are judged here. `compliances` are those of measurements that lobes are asked of, `faults` those of the data.
     """
-    before = {**given_values(family), **known_values(family, campaign.known)} if campaign.known else None
+    known = known_of(campaign)
+    before = {**given_values(family), **known_values(family, known)} if known else None
     finding = _plausible(replace(finding, baseline=tuple(_baseline(family, finding))))
     finding = with_curves(family, finding)
     depths, why = depths_of(campaign, family, compliances)

@@ -13,6 +13,8 @@ from dataclasses import replace
 from typing import Any, cast
 
 from process.errors import InputError
+from process.friction.laws import Andersson, Coulomb, CoulombViscous
+from smfe.campaign import Campaign, RigidDrive
 from smfe.diagnosis.inference.problem import Cause, Condition, Family, Parameter
 from smfe.records.formats.channels import did_you_mean, listed
 
@@ -21,6 +23,24 @@ Known = Mapping[str, Mapping[str, str]]
 
 SPREAD = 0.1
 """Standard deviation with which a known cause is trusted, relative; at least a change that matters."""
+
+
+LEVEL = "guideway_friction"
+"""Id of the cause whose size is declared as the friction of a control is: what the data contradict of it is named."""
+
+
+def known_of(campaign: Campaign) -> Known:
+    """Return what the baseline of a campaign holds besides its family: ``known``, and the friction of drive records."""
+    law = campaign.baseline.friction if isinstance(campaign.baseline, RigidDrive) else None
+    found = dict[str, Mapping[str, str]]()
+    if isinstance(law, Coulomb | CoulombViscous | Andersson) and law.coulomb > 0.0:
+        found[f"{LEVEL}/coulomb"] = {"coulomb.force": f"{law.coulomb:.9g} N"}
+    if isinstance(law, Andersson) and law.static > law.coulomb:
+        found["low_speed_friction/stribeck"] = {
+            "stribeck.boost": f"{law.static - law.coulomb:.9g} N",
+            "stribeck.speed": f"{1e3 * law.stribeck_speed:.9g} mm/s",
+        }
+    return {**found, **campaign.known}
 
 
 class Settled:
@@ -60,11 +80,16 @@ def settled(family: Family, known: Known) -> Family:
         return family
     values = known_values(family, known)
     mine = [c for c in family.causes if c.key in known]
-    more = tuple(
-        replace(p, start=values[p.name], prior=max(SPREAD * abs(values[p.name]), p.scale))
-        for c in mine
-        for p in c.parameters
-    )
+
+    def trusted(cause: Cause, p: Parameter) -> Parameter:
+        value = values[p.name]
+        if p.secondary:
+            # Who knows a cause knows what it does; what only shapes it is known as well as wherever it is looked for.
+            return replace(p, start=value, prior=max(p.prior, SPREAD * abs(value), p.scale))
+        named = LEVEL if cause.id == LEVEL else ""
+        return replace(p, start=value, prior=max(SPREAD * abs(value), p.scale), given=named)
+
+    more = tuple(trusted(c, p) for c in mine for p in c.parameters)
     rest = tuple(c for c in family.causes if c.key not in known)
     return cast(Family, Settled(family, (*family.nuisances, *more), rest))
 

@@ -199,7 +199,12 @@ def _fitted(columns: Real, force: Real, gains: Gains) -> ControlLaw:
     least = RULES.better * min(law.noise for law, _ in possible)
     usual = [x for x in possible if x[0].noise <= least]
     least = RULES.better * max(min(all_ for _, all_ in usual), floor)
-    return next(law for law, all_ in usual if all_ <= least)
+    usual = [x for x in usual if x[1] <= least]
+    # The laws are nested. Were the part that a simpler one lacks not there, both would find one gain within the scatter
+    # of the richer (Hausman, Econometrica 46, 1978); noise may hide what biases the gain by far more.
+    richest = usual[-1][0]
+    told = max(RULES.told, RULES.off * richest.scatter) * richest._factors[0] if richest.plausible else math.inf
+    return next(law for law, _ in usual if abs(law._factors[0] - richest._factors[0]) <= told)
 
 
 def _scatter(columns: Real, left: Real, scale: Real, whole: Real) -> float:

@@ -69,11 +69,11 @@ def always(centre: float, stroke: float, mass: float, fastest: float) -> tuple[T
         return np.asarray(a * x + b * x * x + direction(m, p) * (c * x + d * x * x))
 
     coulomb = (
-        Parameter("coulomb.force", "N", 0.0, 1.0, low=0.0),
+        Parameter("coulomb.force", "N", 0.0, 1.0, low=0.0, said="Coulomb friction of the guideway"),
         # Little friction, or one that gives way at once, determines little of them: priors are those of bristles of
-        # steel on steel or plastic.
+        # steel on steel or plastic. Canudas de Wit et al. (1995) take 3.2 ms of damping.
         Parameter("coulomb.slide", "um", 2e-6, 1e-6, RULES.finest_slide, 1e-4, prior=1e-5, shown=1e6, secondary=True),
-        Parameter("coulomb.damping", "ms", 0.0, 1e-4, 0.0, 2e-3, prior=2e-4, shown=1e3, secondary=True),
+        Parameter("coulomb.damping", "ms", 0.0, 1e-4, 0.0, 2e-2, prior=2e-3, shown=1e3, secondary=True),
     )
     boost = (
         Parameter("stribeck.boost", "N", 0.0, 1.0, low=0.0),

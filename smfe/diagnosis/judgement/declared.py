@@ -13,7 +13,6 @@ as well in its place make one set with it: the data do not say which of them it 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -62,7 +61,8 @@ class Declared:
     u: Real  # all scaled parameters of the fit
     data: Real  # shape (p, p): information of the data
     weight: Real  # shape (p,): inverse variances of the priors
-    score: Real  # shape (p,): y above
+    score: Real  # shape (p,): y above, of the data
+    held: Real  # shape (p,): y above, of the priors where a bound holds a value
     groups: Mapping[str, Index]  # id -> places in `free` of its parameters
     over: float  # what is left over noise when nothing is declared; one where it is noise
 
@@ -77,13 +77,16 @@ class Declared:
         groups: dict[str, list[int]] = {}
         for place, j in enumerate(at.free):
             given = "" if model.parameters[j].nameless else model.parameters[j].given
-            if bool(given) == named and weight[place] > 0.0 and (named or j in model.nuisance):
+            # What only shapes an effect that is known is trusted of nobody.
+            counts = named or (j in model.nuisance and not model.parameters[j].secondary)
+            if bool(given) == named and weight[place] > 0.0 and counts:
                 groups.setdefault(given, []).append(place)
         centred = (at.u - target.centre)[at.free]
         off = slope[:values].T @ (residual[:values] / variance)
         # Where a fit has stopped a little short of its optimum, released priors would make much of that little.
-        score = np.where(_within(model, at), data @ centred - off, (data + np.diag(weight)) @ centred)
-        found = cls(model, at.free, at.u, data, weight, score, {g: np.array(p) for g, p in groups.items()}, 1.0)
+        inside = _within(model, at)
+        score, held = data @ centred - np.where(inside, off, 0.0), np.where(inside, 0.0, weight * centred)
+        found = cls(model, at.free, at.u, data, weight, score, held, {g: np.array(p) for g, p in groups.items()}, 1.0)
         free = weight.copy()
         for g in groups:
             free = found.without(free, found.groups[g])
@@ -99,14 +102,19 @@ class Declared:
     def solve(self, weight: Real) -> tuple[Real, Real]:
         """Return the fitted values, (p,), and their covariance, (p, p), under other priors."""
         # Scales differ by many orders of magnitude: the inverse is taken of a matrix with a unit diagonal.
-        whole = self.data + np.diag(weight)
+        # Noise that is larger than it was counted lessens what the data say, and leaves the priors as they are.
+        whole = self.data / self.over + np.diag(weight)
         size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
         inverse = np.linalg.pinv(whole / np.outer(size, size), rcond=1e-12, hermitian=True) / np.outer(size, size)
-        return inverse @ self.score, inverse
+        return inverse @ self._asked, inverse
+
+    @property
+    def _asked(self) -> Real:
+        return np.asarray(self.score / self.over + self.held)
 
     def merit(self, weight: Real) -> float:
         """Return what priors gain over none, up to a constant: minus chi-square."""
-        return float(self.score @ self.solve(weight)[0])
+        return float(self._asked @ self.solve(weight)[0])
 
     def without(self, weight: Real, place: Index) -> Real:
         """Return priors of which some are so wide that they say nothing where the data say something."""
@@ -165,9 +173,9 @@ class Declared:
         square = float(np.sum(along**2 / known[seen]))
         # With the prior taken off, an estimate with the variance 1/told - 1 (over that of the prior) remains.
         alone = np.abs(along / known[seen]) / np.sqrt(np.maximum(1.0 / known[seen] - 1.0, 1e-12))
-        together = float(stats.chi2.sf(square / self.over, int(seen.sum())))
+        together = float(stats.chi2.sf(square, int(seen.sum())))
         p_value = together if place.size == 1 else min(1.0, 2.0 * min(together, self._worst(u, weight, group)))
-        return p_value, float(alone.max()) / math.sqrt(self.over)
+        return p_value, float(alone.max())
 
     def _worst(self, u: Real, weight: Real, group: str) -> float:
         """Return the p-value of the one of a group that is furthest off: among many it hardly moves their sum."""
@@ -176,7 +184,7 @@ class Declared:
         seen = told > RULES.informed
         if not seen.any():
             return 1.0
-        z = np.abs(u[place] * np.sqrt(weight[place]))[seen] / np.sqrt(told[seen] * self.over)
+        z = np.abs(u[place] * np.sqrt(weight[place]))[seen] / np.sqrt(told[seen])
         return float(2.0 * stats.norm.sf(z.max()) * seen.sum())
 
     def away(self, weight: Real, group: str) -> Real:
@@ -313,6 +321,9 @@ def _beyond(linear: Declared, weight: Real, group: str, size: Size, material: fl
     parameters = [linear.model.parameters[j] for j in linear.free[linear.groups[group]]]
     stated = all(p.stated for p in parameters)
     if p_value >= RULES.contradicted and (stated or alone < RULES.told):
+        return 0.0
+    # What no declared value explains is not white: its size says too little of what it makes of a value.
+    if linear.over > 1.0 and alone < RULES.told:
         return 0.0
     # What a value costs that its prior holds back is that of the one which the data ask for.
     asked = linear.without(weight, linear.groups[group]) if p_value < RULES.contradicted else weight

@@ -278,6 +278,8 @@ def _at_limit(bench: Bench, at: Fit) -> str:
     model = bench.model
     for j in map(int, model.nuisance):
         near = min(abs(at.u[j] - model.low[j]), abs(model.high[j] - at.u[j])) < 1e-6
+        # What only shapes an effect is no objection to what it does (`on_bound`).
+        near = near and not model.parameters[j].secondary
         if near and abs(at.u[j]) > RULES.beyond * _prior(model, j):
             return model.parameters[j].said or str(model.names[j])
     return ""

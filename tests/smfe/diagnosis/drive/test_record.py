@@ -327,6 +327,29 @@ def test_noise_of_the_encoder_and_hum_move_no_gain_that_is_told() -> None:
     assert told.found.velocity == pytest.approx(VELOCITY_GAIN, rel=0.02)
 
 
+def test_a_law_without_an_integral_part_is_not_taken_for_less_noise_where_its_gain_is_another() -> None:
+    """Feed-forward leaves little error: without the integral part a quarter of the gain leaves as little as the law."""
+    rng, n, integral = np.random.default_rng(2), 24_000, 0.02
+    way = np.repeat(rng.choice([-0.2, 0.0, 0.1, 0.2], n // 400), 400)
+    for width in (40, 60, 80):
+        way = np.convolve(np.concatenate([np.zeros(width - 1), way]), np.ones(width) / width, mode="valid")
+    r, q, v, whole, force = np.cumsum(way) * STEP, 0.0, 0.0, 0.0, np.zeros(n)
+    seen, held = np.zeros(n), [0.0] * 2
+    for k in range(n):
+        seen[k] = q
+        late = (seen[k] - seen[max(k - 1, 0)]) / STEP
+        error = POSITION_GAIN / 4.0 * (r[k] - q) + way[k] - late
+        whole += error * STEP
+        force[k] = VELOCITY_GAIN * (error + whole / integral)
+        held = [force[k], *held[:-1]]
+        v += STEP * (held[-1] - 60.0 * v) / 60.0
+        q += STEP * v
+    noisy = force + 0.03 * np.std(force) * rng.standard_normal(n)
+    found = fit_gains(r, seen, noisy, STEP, Gains(POSITION_GAIN / 4.0, VELOCITY_GAIN))
+    assert found is not None
+    assert found.found.velocity == pytest.approx(VELOCITY_GAIN, rel=0.1)
+
+
 def test_a_law_that_is_not_that_behind_a_band_pass_shows_no_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     """With half of the velocity gain what is left is the axis, whatever stands out of it."""
     s = simulate(Axis(coulomb=20.0, seconds=12.0), 2)

@@ -475,6 +475,56 @@ def test_a_parameter_that_only_shapes_a_cause_may_end_on_its_bound():
     assert found(False).verdict == "unknown"
 
 
+def test_what_only_shapes_an_effect_that_is_known_refuses_nothing_on_its_bound():
+    """Friction is declared a third too low, and the travel before it slides is another than anybody trusts."""
+
+    @dataclass(frozen=True)
+    class Shaped(Scaled):
+        def predict(self, condition, values):
+            return 100.0 * (1.0 + values["coefficients"] + np.exp(-X / values["length"])) * SHAPES[0]
+
+    def found(secondary):
+        length = Parameter("length", "1", 0.1, 0.02, 0.05, 0.2, prior=0.01, secondary=secondary)
+        known = Shaped((), (declared("coefficients", "force_coefficients"), length), ())
+        places = [Condition(f"cut {n}", {"speed": float(n)}) for n in range(6)]
+        rng, truth = np.random.default_rng(5), {"coefficients": 0.6, "length": 0.21}
+        data = [replace(c, observed=known.predict(c, truth) + rng.standard_normal(N)) for c in places]
+        return diagnose(replace(known, conditions=tuple(data)), worth=WORTH)
+
+    assert ids(found(True)) == {"force_coefficients": None}
+    assert found(False).verdict == "unknown"
+
+
+def test_what_is_left_besides_makes_no_prior_wider():
+    """Half of the force at a tenth trusted is five deviations, however much is left besides that nothing explains.
+
+    The data know it to a hundredth. What they know no better than the prior does is another matter: five times the
+    noise in everything says of a value that is two deviations off that it may be right.
+    """
+
+    def released(truth, prior, rough):
+        family = measured(
+            truth, nuisances=(declared("coefficients", "force_coefficients", prior), declared("gain", ""))
+        )
+        rng = np.random.default_rng(8)
+        family = replace(
+            family,
+            conditions=tuple(
+                replace(c, observed=c.observed + rough * rng.standard_normal(N)) for c in family.conditions
+            ),
+        )
+        fixed = replace(family, nuisances=(family.nuisances[0], replace(family.nuisances[1], prior=1e-6)))
+        model = Model(fixed, fixed.conditions)
+        target = Target({r: c.observed for r, c in enumerate(fixed.conditions)}, model.null())
+        at = fit(model, target, (), model.null())
+        return contradicted(model, target, at, lambda *_: 1.0, 0.05)
+
+    assert released({"coefficients": 0.5}, 0.1, 0.0)
+    assert released({"coefficients": 0.5}, 0.1, 5.0)
+    assert released({"coefficients": 0.06}, 0.01, 0.0)
+    assert not released({"coefficients": 0.06}, 0.01, 30.0)
+
+
 @dataclass(frozen=True)
 class Few(Abilities):
     """Seven limits of two values each, of a machine with twelve numbers of its own that are known within a prior."""
