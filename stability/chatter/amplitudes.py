@@ -336,9 +336,32 @@ def _in_air(
     air = hann_spectrum(part.air, part.raw_dt, band)
     if air.frequency.size < 3:
         return nothing
+    if _still_cuts(part, spectrum, air):
+        return nothing
     reach = 2.0 * air.resolution / (air.frequency[1] - air.frequency[0])
     highest = ndimage.maximum_filter1d(air.vector_amplitude, 2 * math.ceil(reach) + 1)
     return np.asarray(np.interp(spectrum.frequency, air.frequency, highest) * scale > 0.5 * amplitude)
+
+
+def _still_cuts(part: CutPart, spectrum: LineSpectrum, air: LineSpectrum) -> bool:
+    """Whether the teeth cut in what was taken for air: chatter that comes up leaves the cut before it far below.
+
+    The highest orders of the cut then are there in the same size. The first is left out: an unbalance turns in air too.
+    """
+    last = int((spectrum.frequency[-1] - spectrum.resolution) / part.base)
+    orders = part.base * np.arange(2, last + 1)
+    orders = orders[orders > spectrum.frequency[0] + air.resolution]
+    if orders.size < RULES.orders_compared:
+        return False
+
+    def at(lines: LineSpectrum) -> Real:
+        reach = math.ceil(RULES.mask_bins / 3.0 * lines.resolution / (lines.frequency[1] - lines.frequency[0]))
+        highest = ndimage.maximum_filter1d(lines.vector_amplitude, 2 * reach + 1)
+        return np.asarray(np.interp(orders, lines.frequency, highest))
+
+    cut, before = at(spectrum), at(air)
+    top = np.argsort(-cut)[: RULES.orders_compared]
+    return float(np.median(before[top] / cut[top])) > 0.5
 
 
 def _short(

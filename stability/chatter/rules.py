@@ -18,6 +18,8 @@ class ChatterRules:
     """Spindle orders of which one at least stands out of the noise where a tool cuts."""
     short_turns: tuple[float, ...] = (24.0, 12.0)
     """Windows in which lines that drift are looked for [turns]."""
+    orders_compared: int = 5
+    """Highest orders of a cut by which what was taken for air is told from a part of it."""
     stands_out: float = 4.0
     """A line is a line from this many times the local rms noise: white noise exceeds it once in 10^7 bins."""
     comb_harmonics: int = 20

@@ -297,6 +297,18 @@ def test_what_is_there_in_air_is_no_chatter():
     assert judge(cut_record(((63.07, 6.0),), **harmonics)).verdict == "chatter"
 
 
+@pytest.mark.parametrize(("swells", "depth"), [(0.2, 1.0), (0.3, 0.9)])
+def test_no_part_of_a_cut_is_taken_for_air_because_it_chatters_less(swells, depth):
+    # The teeth cut all along: the line that swells and fades is the chatter, and not its foot 1 to 2 Hz beside.
+    record = cut_record(tooth=(2.0, 1.0, 0.5, 0.5), air=0.0)
+    t = record.time.values
+    envelope = np.sqrt(0.5 * (1.0 + depth * np.cos(2.0 * np.pi * swells * t)))
+    record["acceleration"] += line(t, 63.07, 30.0) * envelope
+    found = judge(record)
+    assert found.verdict == "chatter"
+    assert found.chatter_frequency_Hz == pytest.approx(63.07, abs=0.1)
+
+
 def test_chatter_comes_with_the_speeds_to_try():
     found = judge(cut_record(((63.07, 20.0),)))
     assert found.try_rpm == pytest.approx([60 * 63.07 / 4], rel=0.01)
