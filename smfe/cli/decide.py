@@ -222,7 +222,8 @@ def diagnose(
     faults = [row for row in content.get("data_audit", []) if row.get("level") == "fault"]
     block = finding.next_experiment.block if finding.next_experiment is not None else ""
     more = ["to add to the campaign file when it is measured:", *block.splitlines()] if block else []
-    lines = [*explain(finding).splitlines(), *more, f"written: {output}{then}"]
+    verdict = f"Verdict: {finding.verdict.replace('_', ' ')}."
+    lines = [verdict, *explain(finding).splitlines(), *more, f"written: {output}{then}"]
     return Outcome(lines, {"output": str(output), "finding": content}, fault=bool(faults))
 
 
