@@ -509,25 +509,19 @@ def _prior(model: Model, j: int) -> float:
 
 
 def _given(bench: Bench, at: Fit, released: Sequence[Released], worth: Worth) -> tuple[GivenParameter, ...]:
-    """Return each declared parameter beside what the data say of it; of a set what they say of each alone."""
+    """Return each declared parameter beside what the data say of it."""
     model = bench.model
     sd = deviations(bench, at, None)
     beyond = {j for r in released for values in r.values for j in values}
-    alone = {
-        j: (u, r.deviations[n][j]) for r in released for n in range(1, len(r.given)) for j, u in r.values[n].items()
-    }
     found = []
     for place, j in enumerate(at.free):
         p = model.parameters[j]
         if not p.given:
             continue
-        u, spread = alone.get(int(j), (float(at.u[j]), float(sd[place])))
-        there = at.u.copy()
-        there[j] = u
         declared = at.u.copy()
         declared[j] = 0.0
-        cost = worth.cost(model.values(declared), model.values(there)) if p.given not in MEASURED else None
-        value, half = p.start + p.scale * u, RULES.interval * p.scale * spread
+        cost = worth.cost(model.values(declared), model.values(at.u)) if p.given not in MEASURED else None
+        value, half = p.start + p.scale * float(at.u[j]), RULES.interval * p.scale * float(sd[place])
         value, low, high = ((value + x) * p.shown for x in (0.0, -half, half))
         trusted = p.prior * p.shown
         known = (p.name, p.said, p.given, p.start * p.shown, trusted, value, low, high, p.unit)

@@ -108,11 +108,16 @@ def _given(finding: Finding, setting: Setting) -> Iterator[str]:
         yield "Is what you gave right? As far as these measurements tell, yes."
     else:
         yield "Is what you gave right? These measurements say nothing of it."
+    # Of a set each has the value that it would have alone; the fit of another of them leaves it as it was given.
+    alone = {(c.id, p.name): p for c in finding.causes if c.set is not None for p in c.parameters}
     for g in wrong:
-        value = with_interval(g.found, g.low, g.high, g.unit)
-        alone = ", if it is this one" if len(alike[sets.get(g.cause, g.name)]) > 1 else ""
+        value, worth = with_interval(g.found, g.low, g.high, g.unit), _worth(g)
         given = f"{rounded(g.given)}{unit_text(g.unit)}"
-        yield f"{_capital(given_words(g))}: given {given}, found {value}{_worth(g)}{alone}."
+        if len(alike[sets.get(g.cause, g.name)]) > 1:
+            if p := alone.get((g.cause, g.name)):
+                value, worth = with_interval(p.value, p.low, p.high, p.unit), worth if p.value == g.found else ""
+            worth += ", if it is this one"
+        yield f"{_capital(given_words(g))}: given {given}, found {value}{worth}."
     shown = sorted(told, key=lambda g: -abs(g.cost or 0.0))[:_MOST_GIVEN]
     if shown:
         said = [

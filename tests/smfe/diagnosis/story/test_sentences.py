@@ -171,6 +171,15 @@ def test_declared_values_of_a_set_are_proven_by_what_they_gain_on_conditions_lef
     assert "not proven" in " ".join(say("cause", replace(found, gain=Gain(0.2, 1.0, 0.2, 0.05, -1.0))))
 
 
+def test_of_a_set_each_declared_value_stands_with_what_it_would_be_alone() -> None:
+    """Where the coefficients are released in the fit the gain stays as declared: that is not what it would be."""
+    gain = GivenParameter("gain", "gain", "sensor_gain", 0.0, 1.0, 0.1, -1.9, 2.0, "%", True)
+    alone = replace(GAIN, variant="declared", parameters=(Estimate("gain", 22.5, 13.3, 31.7, "%"),), set=1)
+    other = FoundCause("force_coefficients", "declared", "Ktc", "declared", (), 9.0, None, None, 1)
+    found = Finding("named", "it is", (other, alone), errors=ERRORS, given=(KTC, gain))
+    assert say("given", found)[2] == "Gain: given 0 %, found 22.5 % (13.3 to 31.7), if it is this one."
+
+
 def test_what_remains_is_said_beside_the_gain() -> None:
     left = Remainder(3.0, 1e-9, 0.3, 0.12, ("a move",))
     found = Finding("unknown", "it is", (DELAY,), errors=ERRORS, remainder=left)
