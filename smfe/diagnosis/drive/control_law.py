@@ -203,7 +203,7 @@ def _fitted(columns: Real, force: Real, gains: Gains) -> ControlLaw:
     # The laws are nested. Were the part that a simpler one lacks not there, both would find one gain within the scatter
     # of the richer (Hausman, Econometrica 46, 1978); noise may hide what biases the gain by far more.
     richest = usual[-1][0]
-    told = max(RULES.told, RULES.off * richest.scatter) * richest._factors[0] if richest.plausible else math.inf
+    told = max(RULES.vague, RULES.off * richest.scatter) * richest._factors[0] if richest.plausible else math.inf
     return next(law for law, _ in usual if abs(law._factors[0] - richest._factors[0]) <= told)
 
 
