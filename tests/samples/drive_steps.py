@@ -34,9 +34,9 @@ def force_steps(family, causes, held_out=()):
     given = {p.given for p in family.nuisances if p.given}
     released, taken, at, steps = [], [], None, []
     for cause in ("", *causes):
-        if cause in given:
-            released.append(cause)
-        model = Model(family, family.conditions, None, released, given - set(released))
+        released += [cause] if cause in given else []
+        names = [p.name for p in family.nuisances if p.given in released]
+        model = Model(family, family.conditions, None, names, given - set(released))
         target = Target({r: c.observed for r, c in enumerate(model.conditions)}, model.null())
         bench = Bench(model, target, 0, silent)
         if at is None:
