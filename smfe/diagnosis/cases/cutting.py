@@ -223,7 +223,7 @@ def _trials(
             frequency = vibrating_line(judged, campaign.tool.teeth) if measured else None
             start, end = judged.interval_s
             # A line is read to a part of the distance of the lines that its record resolves: evenly spread within one.
-            read = 1.0 / (math.sqrt(12.0) * (end - start))
+            read = max(Trial.frequency_std, 1.0 / (math.sqrt(12.0) * (end - start)))
             trial = Trial(test.spindle_speed, test.depth_of_cut, verdict == "chatter", frequency, read)
             found.setdefault((test.cut, test.width_of_cut, test.stated_feed_per_tooth), []).append((test, trial))
     return found

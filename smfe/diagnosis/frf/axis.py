@@ -364,29 +364,8 @@ def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, disc
         forth, back = (s._replace(coulomb=part * s.coulomb, static=part * s.static) for s in found.friction)
         loose = family.simulated(found._replace(friction=(forth, back))).compliance(excited)
         rows.append(loose[None] - machine.compliance(excited)[None])
-    else:
-        here = machine.compliance(excited)
-        rows += [family.simulated(x).compliance(excited)[None] - here[None] for x in _sliding_otherwise(found, feed)]
     corrected = replace(excited, shared=np.concatenate(rows))
     return replace(condition, data=corrected, observed=corrected.whitened(mean - more))
-
-
-def _sliding_otherwise(found: Effective, feed: float) -> list[Effective]:
-    """Return what a slide is whose friction falls with the speed by more than is declared, and that late.
-
-    The slope of a Stribeck curve is a difference of two forces, each known within a share. It follows the speed late:
-    ``F'(v) s / (1 + s T)`` is ``F'(v) s - F'(v) T s^2``, a slide heavier by the slope times the lag, which nobody
-    declares (Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30, 1994, pp. 1083-1138).
-    """
-    n = 0 if feed > 0.0 else 1
-    side = found.friction[n]
-    if feed == 0.0 or not side.speed:
-        return []
-    steeper = side._replace(static=side.static + RULES.friction_known * math.hypot(side.coulomb, side.static))
-    sides = (steeper, found.friction[1]) if n == 0 else (found.friction[0], steeper)
-    falls = (side.static - side.coulomb) / side.speed * math.exp(-abs(feed) / side.speed)
-    heavier = (found.masses[0] + falls * RULES.frictional_lag, found.masses[1])
-    return [found._replace(friction=sides), found._replace(masses=heavier)]
 
 
 def _local_stiffness(

@@ -66,9 +66,6 @@ class FrfRules:
     )
     contact_spread: float = 10.0  # prior standard deviation of it, over itself: guideways differ by factors
     contact_loss: float = 1.2e-4  # its damping over its stiffness [s]
-    friction_known: float = 0.02  # relative standard deviation of each force of a friction curve that is declared
-    frictional_lag: float = 5e-4
-    """Standard deviation, about none, of the time by which sliding friction follows the speed late [s]."""
     elements: int = 20  # Jenkins elements of a joint with micro-slip
     hit_elements: int = 40  # the same in hits on modes: each that begins to slip bends a slope a little
     steps_a_period: float = 16.0  # of the highest mode that moves a joint in a hit: 1 % of what the joint does

@@ -246,20 +246,6 @@ def test_at_rest_friction_that_differs_between_the_directions_does_mostly_what_a
     assert effects[1] < 0.5 * effects[0]
 
 
-def test_friction_that_follows_the_speed_late_is_no_error_of_the_gains():
-    """Slipping elements that settle within 0.3 ms, where the Stribeck curve is steep: 270 times the noise without."""
-    speed = (MOVING, MOVING)
-    friction = Friction("gms", (41.4, 41.4), (86.0, 86.0), speed, (159.0, 159.0), attraction=2e5)
-    quiet = Chain(snr=40.0, bits=24, double=0.0)
-    record = measure(Truth(friction=friction), Design("one", (Plan("hammer", 500.0, 50.0, "K1"),)), 3, quiet)[0]
-    law = {"coulomb": 41.4, "static": 86.0, "stribeck_speed": MOVING}
-    found = MachineFrfs(replace(baseline(), known=law), (condition_of(record),))
-    values = values_of(found) | {"viscous": 159.0, "contact": 1.0 / friction.bristle_stiffness}
-    (mended,) = as_hit(found, 0.004, values).conditions
-    left = found.predict(mended, values) - mended.observed
-    assert float(left @ left) / left.size < 10.0
-
-
 def test_the_samples_of_a_control_make_its_gains_act_as_larger_ones_by_as_much_as_a_dead_time_leaves_open():
     """By up to 6 % where nobody says how often it samples: what a gain of a sensor 6 % off would look like."""
     servo, period = Servo(10590.0, 6.5e-3, 76.9, 0.75e-3), 0.5e-3
