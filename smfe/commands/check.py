@@ -13,7 +13,7 @@ from smfe.campaign import Campaign, load_campaign
 from smfe.campaign.datasets import Show
 from smfe.diagnosis.audit import audited
 from smfe.diagnosis.cases.compliances import case_of
-from smfe.diagnosis.cases.known import known_of, settled
+from smfe.diagnosis.cases.known import with_known
 from smfe.diagnosis.checks.suspect import Suspect, fault, suspect_table, warning
 from smfe.identification.compliances import labelled
 from smfe.identification.errors.result import Identification
@@ -87,7 +87,7 @@ def refusals(
     unsure = judge_all(quick, compliances, part(progress, 0.4, 0.8), refused).warnings
     if campaign.baseline is not None:
         with attempt(refused, "diagnosis"):
-            settled(case_of(campaign, found, part(progress, 0.8, 1.0)).family, known_of(campaign))
+            with_known(case_of(campaign, found, part(progress, 0.8, 1.0)).family, campaign)
     if campaign.plan is not None:
         with attempt(refused, "plan"):
             task = load_task(campaign.path)

@@ -21,7 +21,7 @@ from smfe.campaign.methods import COMPLIANCE_METHODS
 from smfe.diagnosis.audit import Audit, audited
 from smfe.diagnosis.cases.case import Case
 from smfe.diagnosis.cases.compliances import case_of
-from smfe.diagnosis.cases.known import known_of, settled
+from smfe.diagnosis.cases.known import with_known
 from smfe.diagnosis.checks.suspect import Suspect, as_rows
 from smfe.diagnosis.consequences import with_consequences, worth_of
 from smfe.diagnosis.judgement.diagnose import diagnose as diagnose_family
@@ -225,7 +225,7 @@ def _tested(
     left_out = case.held_out_conditions(held_out)
     compliances = {name: item.compliance for name, item in (measured or {}).items()}
     worth = worth_of(campaign, case.family)
-    finding = diagnose_family(settled(case.family, known_of(campaign)), seed, progress, left_out, workers, worth)
+    finding = diagnose_family(with_known(case.family, campaign), seed, progress, left_out, workers, worth)
     faults = [s for s in suspects if s.level == "fault"]
     finding = with_consequences(campaign, case.family, finding, left_out, happened, compliances, faults)
     said = Diagnosis(**{f.name: getattr(finding, f.name) for f in fields(finding)})

@@ -31,9 +31,9 @@ LEVEL = "guideway_friction"
 
 def known_of(campaign: Campaign) -> Known:
     """Return what the baseline of a campaign holds besides its family: ``known``, and the friction of drive records."""
-    law = campaign.baseline.friction if isinstance(campaign.baseline, RigidDrive) else None
+    law = _friction(campaign)
     found = dict[str, Mapping[str, str]]()
-    if isinstance(law, Coulomb | CoulombViscous | Andersson) and law.coulomb > 0.0:
+    if law is not None and law.coulomb > 0.0:
         found[f"{LEVEL}/coulomb"] = {"coulomb.force": f"{law.coulomb:.9g} N"}
     if isinstance(law, Andersson) and law.static > law.coulomb:
         found["low_speed_friction/stribeck"] = {
@@ -41,6 +41,32 @@ def known_of(campaign: Campaign) -> Known:
             "stribeck.speed": f"{1e3 * law.stribeck_speed:.9g} mm/s",
         }
     return {**found, **campaign.known}
+
+
+def with_known(family: Family, campaign: Campaign) -> Family:
+    """Return a family whose baseline has all that the campaign says besides it (`known_of`, `settled`).
+
+    Raises
+    ------
+    InputError
+        As `settled`.
+    """
+    law = _friction(campaign)
+    if not isinstance(law, Andersson) or "low_speed_friction/stribeck" in campaign.known:
+        return settled(family, known_of(campaign))
+    speed = next((p for c in family.causes for p in c.parameters if p.name == "stribeck.speed"), None)
+    if law.static > law.coulomb and speed is not None and not speed.low <= law.stribeck_speed <= speed.high:
+        raise InputError(
+            f"baseline.friction: stribeck_speed of {1e3 * law.stribeck_speed:g} mm/s; moves of these records can tell "
+            f"{1e3 * speed.low:g} to {1e3 * speed.high:g} mm/s: give one of these, or law = 'coulomb_viscous'"
+        )
+    # The rise is a difference of two forces, each known within its share.
+    return settled(family, known_of(campaign), {"stribeck.boost": SPREAD * math.hypot(law.static, law.coulomb)})
+
+
+def _friction(campaign: Campaign) -> Coulomb | CoulombViscous | Andersson | None:
+    law = campaign.baseline.friction if isinstance(campaign.baseline, RigidDrive) else None
+    return law if isinstance(law, Coulomb | CoulombViscous | Andersson) else None
 
 
 class Settled:
@@ -61,7 +87,7 @@ class Settled:
         return getattr(self._family, name)
 
 
-def settled(family: Family, known: Known) -> Family:
+def settled(family: Family, known: Known, within: Mapping[str, float] | None = None) -> Family:
     """Return a family whose baseline has some causes, about the values that are known.
 
     Parameters
@@ -70,6 +96,8 @@ def settled(family: Family, known: Known) -> Family:
         With these causes in its catalogue.
     known : mapping
         Key of each cause, its parameters with their units.
+    within : mapping, optional
+        Name of a parameter -> standard deviation with which it is trusted (SI); default: `SPREAD` of its value.
 
     Raises
     ------
@@ -87,7 +115,8 @@ def settled(family: Family, known: Known) -> Family:
             # Who knows a cause knows what it does; what only shapes it is known as well as wherever it is looked for.
             return replace(p, start=value, prior=max(p.prior, SPREAD * abs(value), p.scale))
         named = LEVEL if cause.id == LEVEL else ""
-        return replace(p, start=value, prior=max(SPREAD * abs(value), p.scale), given=named)
+        spread = (within or {}).get(p.name, SPREAD * abs(value))
+        return replace(p, start=value, prior=max(spread, p.scale), given=named)
 
     more = tuple(trusted(c, p) for c in mine for p in c.parameters)
     rest = tuple(c for c in family.causes if c.key not in known)

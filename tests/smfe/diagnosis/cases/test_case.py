@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from exam.drive import record_of
 from places import DATA, DATASETS
+from truth.drive import Axis
 
 from process.cut.engagement import engagement
 from process.cut.force import CuttingCoefficients
@@ -18,10 +20,12 @@ from process.errors import InputError
 from process.labels import make_compliance, make_record
 from smfe.campaign import Campaign, LobeRequest, load_campaign
 from smfe.campaign.tolerances import Tolerances
+from smfe.commands.diagnose import diagnose
 from smfe.diagnosis.audit import audit
 from smfe.diagnosis.cases.case import Case
 from smfe.diagnosis.cases.compliances import case_of, steadied
 from smfe.diagnosis.cases.experiments import proposed_experiments
+from smfe.diagnosis.cases.known import with_known
 from smfe.diagnosis.cutting.forces import cutting_family
 from smfe.diagnosis.cutting.orders import SteadyCut
 from smfe.diagnosis.drive.control_law import Gains
@@ -107,6 +111,38 @@ def test_a_control_law_without_its_reference_is_refused_by_name(tmp_path: Path) 
     campaign = drive_campaign(tmp_path, to_and_fro(), "Kp = '8 N s/m'\nKv = '16 1/s'\n")
     found = audit(campaign)
     assert any("no reference_position_x; the control law needs it" in str(s) for s in found), found
+
+
+DECLARED = (
+    "friction = {{ law = 'andersson', coulomb = '{:g} N', static = '{:g} N', stribeck_speed = '20 mm/s', "
+    "sigma = '240 N s/m' }}\n"
+)
+
+
+@pytest.mark.parametrize(("coulomb", "said"), [(20.0, {}), (12.0, {"guideway_friction"})])
+def test_a_declared_friction_of_a_drive_is_right_or_named(tmp_path: Path, coulomb: float, said: set[str]) -> None:
+    """20 N of sliding friction, 30 N at rest, of a simulation with bristles; declared as they are, and 40 % lower."""
+    truth = Axis(coulomb=20.0, static=30.0, stribeck_speed=0.02, seconds=20.0)
+    # Without a mass the gain of the force channel would do as well: all forces would be two thirds larger.
+    declared = "moving_mass = '97 kg'\n" + DECLARED.format(coulomb, 1.5 * coulomb)
+    campaign = drive_campaign(tmp_path, record_of(truth, 3), declared)
+    found = diagnose(campaign, tmp_path / "finding.json", workers=1)
+    assert {c.id for c in found.causes} == set(said)
+    assert found.verdict == ("named" if said else "consistent")
+    (level,) = (g for g in found.given if g.cause == "guideway_friction")
+    assert level.given == coulomb
+    assert level.found == pytest.approx(20.0, rel=0.1)
+    extended = load_campaign(tmp_path / "finding.toml").baseline.friction
+    assert extended.coulomb == pytest.approx(level.found, rel=1e-6)
+
+
+def test_a_declared_friction_that_no_record_can_tell_is_refused_by_its_name(tmp_path: Path) -> None:
+    record = record_of(Axis(coulomb=20.0, seconds=14.0), 3)
+    campaign = drive_campaign(tmp_path, record, DECLARED.format(20.0, 30.0).replace("20 mm/s", "0.1 mm/s"))
+    with pytest.raises(InputError, match=r"baseline\.friction: stribeck_speed of 0\.1 mm/s; moves"):
+        with_known(case_of(campaign, {}).family, campaign)
+    with pytest.raises(InputError, match="friction of drive records is one of"):
+        drive_campaign(tmp_path, record, "friction = { law = 'gms', coulomb = '20 N' }\n")
 
 
 def test_what_is_held_out_must_be_measured_and_leave_something() -> None:
