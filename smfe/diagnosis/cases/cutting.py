@@ -91,12 +91,13 @@ def _left_out(record: xr.Dataset, steady: xr.Dataset, test: CuttingTest) -> Iter
     """Yield a note of what a record holds beside the steady cut, where the campaign does not say what to take."""
     if test.interval is not None or steady.sizes["time"] == record.sizes["time"]:
         return
-    whole = record["time"].values
-    first, last = (float(steady["time"].values[i] - whole[0]) for i in (0, -1))
+    # Times are those of the record, as `interval` has them.
+    begin, end = (float(record["time"].values[i]) for i in (0, -1))
+    first, last = (float(steady["time"].values[i]) for i in (0, -1))
     yield note(
         "unusable",
         f"cutting test, {test.file.name}",
-        f"the steady cut lasts from {first:.3g} to {last:.3g} s of {float(whole[-1] - whole[0]):.3g} s",
+        f"the steady cut lasts from {first:.4g} to {last:.4g} s of a record from {begin:.4g} to {end:.4g} s",
         "entry, exit and air are left out; the mean force in the air counts as zero; say interval to take another part",
     )
 

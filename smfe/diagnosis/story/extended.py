@@ -475,7 +475,8 @@ def _write_drive(draft: _Draft, campaign: Campaign, family: DriveRecordFamily, v
         if given is not None and key in table:
             table[key] = _text(given * (1.0 + values.get(f"servo_gains.{name}", 0.0)), unit)
     if "friction" in table:
-        table["friction"] = _drive_friction(values)
+        # What differs between the directions is a cause of its own, and stands under `known`.
+        table["friction"] = _drive_friction({**values, "asymmetry.viscous": 0.0})
         draft.held |= {"guideway_friction/coulomb", "low_speed_friction/stribeck"}
     draft.tables["baseline"] = table
     draft.held |= {"loop_delay", "servo_gains"}

@@ -136,6 +136,19 @@ def test_a_declared_friction_of_a_drive_is_right_or_named(tmp_path: Path, coulom
     assert extended.coulomb == pytest.approx(level.found, rel=1e-6)
 
 
+@pytest.mark.parametrize("law", ["law = 'viscous'", "law = 'coulomb_viscous', coulomb = '20 N'"])
+def test_friction_that_differs_between_the_directions_is_known_beside_a_declared_one(tmp_path: Path, law: str) -> None:
+    """60 N s/m more forwards than in the mean; the campaign of the extended model is read, and says no more of it."""
+    record = record_of(Axis(coulomb=0.0 if "'viscous'" in law else 20.0, asymmetry=60.0, seconds=20.0), 5)
+    declared = f"moving_mass = '95 kg'\nfriction = {{ {law}, sigma = '240 N s/m' }}\n"
+    found = diagnose(drive_campaign(tmp_path, record, declared), tmp_path / "finding.json", workers=1)
+    assert [c.id for c in found.causes] == ["friction_asymmetry"]
+    extended = load_campaign(tmp_path / "finding.toml")
+    assert list(extended.known) == ["friction_asymmetry"]
+    again = diagnose(extended, tmp_path / "again.json", workers=1)
+    assert (again.verdict, again.causes) == ("consistent", ())
+
+
 def test_a_declared_friction_that_no_record_can_tell_is_refused_by_its_name(tmp_path: Path) -> None:
     record = record_of(Axis(coulomb=20.0, seconds=14.0), 3)
     campaign = drive_campaign(tmp_path, record, DECLARED.format(20.0, 30.0).replace("20 mm/s", "0.1 mm/s"))

@@ -328,6 +328,11 @@ def test_what_is_too_small_to_matter_is_said_and_does_not_convict() -> None:
         "Seen, but too small to matter (less than 5.0 %): a dead time in the control loop (0.82 ms), which changes "
         "1.1 %."
     ]
+    large = replace(found, immaterial=(small, replace(DELAY, size=0.17)))
+    assert say("immaterial", large)[1:] == [
+        "Seen, but what it does to the measurements other values do as well: a dead time in the control loop "
+        "(0.82 ms), which changes 17 %."
+    ]
 
 
 def test_a_named_cause_with_a_remainder_says_how_much_is_left() -> None:
