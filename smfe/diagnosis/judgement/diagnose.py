@@ -33,7 +33,7 @@ from smfe.diagnosis.judgement.finding import (
     by_condition,
 )
 from smfe.diagnosis.judgement.hypotheses import Bench
-from smfe.diagnosis.judgement.materiality import EVERYTHING, Worth
+from smfe.diagnosis.judgement.materiality import EVERYTHING, Worth, predicted_size
 from smfe.diagnosis.judgement.next_experiment import Proposal, rank, revealing
 from smfe.diagnosis.judgement.search import Step, on_bound, search
 from smfe.diagnosis.judgement.verdict import Judgement, cause_size, drifting, judge
@@ -156,6 +156,7 @@ def diagnose(
                 declared = []
         if family.masks and not declared and len(at.causes) > 1:
             bench, at, declared = _in_place(bench, at, released_bench, worth)
+        at, steps = _told(bench, at, steps, worth)
         if not objection and (name := _at_limit(bench, at)):
             objection = IMPOSSIBLE.format(name)
         objection = objection or drifting(bench, at, worth)
@@ -237,6 +238,43 @@ def _instead(bench: Bench, at: Fit, found: Fit, released: Sequence[Released], st
     merit = {s.causes: fits[s.causes].chi2 + charge(bench.model, s.causes) for s in able}
     best = min(able, key=lambda s: merit[s.causes], default=None)
     return None if best is None or merit[best.causes] >= most else best
+
+
+def _told(bench: Bench, at: Fit, steps: list[Step], worth: Worth) -> tuple[Fit, list[Step]]:
+    """Return a fit without the causes that it does not tell from nothing, and the steps with them refused.
+
+    Beside a remainder a likelihood ratio counts what the model misses as noise, and what it misses of each reversal
+    alike it misses on conditions left out, too. Wald's statistic with the deviations of the intervals, which count
+    the remainder, takes its place: half a chi-square for a size of one sign. A cause that it does not tell from zero
+    is none where the fit without it is no other by what matters, and contradicts nothing that was declared.
+    """
+    if worth.material == 0.0 or not at.causes or bench.misfit(at).p_value >= RULES.band:
+        return at, steps
+    model, rows = bench.model, list(bench.target.observed)
+    sd = deviations(bench, at, bench.misfit(at))
+    for k in at.causes:
+        smaller = bench.reduce(at, k)
+        sizes = {int(j) for s in bench.tangent(smaller).signatures if s.cause == k for j in s.free}
+        own = [place for place, j in enumerate(at.free) if int(j) in sizes]
+        seen = any(math.isinf(sd[n]) or abs(at.u[at.free[n]]) > RULES.interval * sd[n] for n in own)
+        if not own or seen or not smaller.converged:
+            continue
+        measurement = model.causes[k].kind == "measurement"
+        changed = worth.of_causes(model, rows, smaller.u, at.u, measurement)
+        if max(changed, predicted_size(model, rows, smaller.u, at.u)) >= worth.material:
+            continue
+        if _contradicted(bench, smaller, worth):
+            continue
+        reason = "its interval holds zero, and the fit without it is no other by what matters"
+        change = "+ " + bench.title((k,))
+        if any(s.accepted and s.change == change for s in steps):
+            fewer = [replace(s, accepted=False, reason=reason) if s.change == change else s for s in steps]
+        else:
+            ratio, needed = smaller.chi2 - at.chi2, bench.threshold(smaller) + charge(model, (k,))
+            dropped = "- " + bench.title((k,))
+            fewer = [*steps, Step(smaller.causes, dropped, ratio, needed, None, smaller.chi2, True, reason)]
+        return _told(bench, smaller, fewer, worth)
+    return at, steps
 
 
 def _not_borne_out(bench: Bench, released: Sequence[Released]) -> str:

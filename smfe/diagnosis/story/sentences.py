@@ -542,7 +542,9 @@ def _power(finding: Finding, setting: Setting) -> Iterator[str]:
     if finding.verdict not in ("consistent", "named", "ambiguous"):
         return
     seen: dict[str, list[Detectable]] = {}
-    found = {c.id for c in finding.causes}
+    # What is seen and by itself changes much would not have been seen: it was.
+    large = (c for c in finding.immaterial if 0.0 < finding.material <= (c.size or 0.0))
+    found = {c.id for c in (*finding.causes, *large)}
     # What the next experiment is to show has been said with it, beside the model that was found.
     said_before = {r.title for r in finding.next_experiment.reveals} if finding.next_experiment is not None else set()
     for p in finding.detectable:
