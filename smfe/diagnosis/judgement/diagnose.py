@@ -432,7 +432,8 @@ def _finding(
     limit = bench.threshold(null)
     sizes = detectable(model, bench.tangent(null), limit)
     together = groups(model, cosines(model, bench.tangent(null)))
-    judged = judge(bench, at, steps, sizes, worth, bool(released), objection, _strained(bench, at, worth))
+    strain, off_by = _strained(bench, at, worth), [c.size or 0.0 for c in _declared(bench, released, worth, at)]
+    judged = judge(bench, at, steps, sizes, worth, bool(released), objection, strain, max(off_by, default=0.0))
     if judged.verdict in ("unknown", "insufficient_data"):
         released = ()  # what is not understood may have moved them
     before = _as_given(bench, released) if released else bench

@@ -60,12 +60,13 @@ def judge(
     released: bool = False,
     objection: str = "",
     strain: Strain | None = None,
+    declared: float = 0.0,
 ) -> Judgement:
     """Judge the fit and the steps that a search ended with, given what would have been seen and what matters.
 
-    `released`: the data contradict what was declared, and it was released. `objection`: why the fit is no explanation,
-    however well it fits; "" for none. `strain`: what it moves beyond what is trusted of it: nothing consistent, and
-    causes that change less than that are not what is wrong.
+    `released`: the data contradict what was declared, and it was released; `declared`: the most that one of it changes.
+    `objection`: why the fit is no explanation, however well it fits; "" for none. `strain`: what it moves beyond what
+    is trusted of it: nothing consistent, and causes and declared values that change less are not what is wrong.
     """
     found = _judged(bench, at, steps, sizes, worth, released)
     if objection and found.verdict in ("consistent", "named", "ambiguous"):
@@ -73,7 +74,8 @@ def judge(
     if strain is None:
         return found
     named = [k for k in at.causes if k not in found.immaterial]
-    outdone = bool(named) and strain.size > max(cause_size(bench, at, k, worth) for k in named)
+    largest = max([declared, *(cause_size(bench, at, k, worth) for k in named)])
+    outdone = largest > 0.0 and strain.size > largest
     if found.verdict == "consistent" or (outdone and found.verdict in ("named", "ambiguous")):
         reason = f"it fits only with {strain.said} beyond what is trusted of it, and nothing of the catalogue says why"
         return replace(found, verdict="unknown", reason=reason, sets={})

@@ -186,6 +186,29 @@ def test_a_cause_that_changes_less_than_what_has_no_name_and_is_strained_is_not_
     assert ids(diagnose(measured(truth | {"ripple": 90.0}, nuisances=nameless), worth=WORTH)) == {"ripple": None}
 
 
+@dataclass(frozen=True)
+class Edged(Scaled):
+    """With forces of the edge, the same at all speeds."""
+
+    nuisances: tuple = (
+        declared("coefficients", ""),
+        declared("gain", "", 0.01),
+        declared("edge", "edge_forces", 0.03),
+    )
+
+    def predict(self, condition, values):
+        return super().predict(condition, values) + 100.0 * values["edge"] * SHAPES[2]
+
+
+def test_a_declared_value_that_changes_less_than_what_has_no_name_and_is_strained_is_not_what_is_wrong():
+    truth = {"coefficients": 0.45, "edge": 0.2}
+    found = diagnose(measured(truth, kind=Edged), worth=WORTH)
+    assert (found.verdict, found.causes) == ("unknown", ())
+    assert "coefficients beyond what is trusted of it" in found.reason
+    for right in ({"edge": 0.2}, {"coefficients": 0.45, "edge": 0.8}):
+        assert ids(diagnose(measured(right, kind=Edged), worth=WORTH)) == {"edge_forces": None}
+
+
 def test_a_sensor_without_a_name_that_is_strained_counts_by_what_it_shows():
     """It changes no depth of the machine, but what is measured, and every depth that is reckoned from that."""
     nameless = (declared("coefficients", "force_coefficients", 0.001), declared("gain", "", 0.01))
