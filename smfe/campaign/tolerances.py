@@ -25,6 +25,8 @@ class Tolerances:
         By which a single hit, and all hits of one set-up together, lean from their axis [rad].
     hit_position : float
         By which a hit misses its point [m].
+    sensor_position : float
+        By which the accelerometer is beside the point that is hit [m].
     cross_talk : float
         What a sensor shows of the other directions [1].
     sensor_gain : float
@@ -51,6 +53,7 @@ class Tolerances:
     hit_direction: float = _DEGREE
     setup_direction: float = 1.5 * _DEGREE
     hit_position: float = 3e-3
+    sensor_position: float = 3e-3
     cross_talk: float = 0.01
     sensor_gain: float = 0.01
     mounting_angle: float = _DEGREE
@@ -69,6 +72,7 @@ class TolerancesTable(Table):
     hit_direction: Lean | None = None
     setup_direction: Lean | None = None
     hit_position: Reach | None = None
+    sensor_position: Reach | None = None
     cross_talk: q.Share | None = None
     sensor_gain: q.Share | None = None
     mounting_angle: Lean | None = None

@@ -28,7 +28,7 @@ from smfe.diagnosis.frf.rules import RULES
 from smfe.diagnosis.inference.problem import Parameter, Values
 
 _ACCELEROMETER = (
-    *(f"{what}_{a}" for what in ("gain", "turned", "reversed") for a in AXES),
+    *(f"{what}_{a}" for what in ("gain", "aside", "turned", "reversed") for a in AXES),
     *(f"{what}_{a}{b}" for what in ("talk", "exchanged", "quarter") for a, b in PLANES),
 )
 _LEANS = tuple(f"lean_{a}{b}" for a, b in permutations(AXES, 2))
@@ -46,9 +46,16 @@ def sensor_nuisances(tolerances: Tolerances) -> tuple[Parameter, ...]:
     gains = {"force": "gain of the force sensor", **{a: f"gain of the accelerometer along {a}" for a in AXES}}
     for a, said in gains.items():
         found.append(gain_nuisance(f"gain_{a}", said, t.sensor_gain))
+    # An accelerometer beside the point that is hit moves otherwise by what the machine turns there, for each channel
+    # about the two axes across it: how that goes with what the point does along x, y and z nobody measured, so that
+    # each channel may show so much of each of them.
+    aside = math.sqrt(2.0) * t.sensor_position / RULES.arm
+    for a in AXES:
+        said = f"the accelerometer beside its place, as it shows along {a}"
+        found.append(_small(f"aside_{a}", "%", aside, 0.5, "", said))
     # Of the cross-talk of each pair of channels one half is a rotation. Single sensors are turned one by one.
-    turned, talk = math.hypot(t.mounting_angle, t.cross_talk / math.sqrt(2.0)), t.mounting_angle / math.sqrt(2.0)
-    talk = math.hypot(t.cross_talk / math.sqrt(2.0), talk)
+    across = math.hypot(t.cross_talk, aside) / math.sqrt(2.0)
+    turned, talk = math.hypot(t.mounting_angle, across), math.hypot(t.mounting_angle / math.sqrt(2.0), across)
     for a in AXES:
         found.append(_small(f"turned_{a}", "deg", turned, 1.0, "sensor_axis", f"the accelerometer turned about {a}"))
     for a, b in PLANES:
@@ -86,9 +93,10 @@ def _small(name: str, unit: str, prior: float, most: float, given: str, said: st
 def measured(phi: Complex, frequency: Real, values: Values, accelerometer: bool = True) -> Complex:
     """Return a compliance at the tool [m/N] as the sensors measure it, shape (f, 3, 3).
 
-    Values are ``gain_force``, ``gain_x`` ..., ``reversed_x`` ..., ``exchanged_xy`` ..., ``quarter_xy`` (1: x shows y
-    and y shows -x; -1: the other way round) ..., ``turned_x`` ... [rad], ``talk_xy`` ..., ``lean_xy`` (of hits along x
-    towards y) ..., ``reach_x`` ..., ``skew`` [s]. A laser in place of the accelerometer has none of its faults.
+    Values are ``gain_force``, ``gain_x`` ..., ``aside_x`` ..., ``reversed_x`` ..., ``exchanged_xy`` ...,
+    ``quarter_xy`` (1: x shows y and y shows -x; -1: the other way round) ..., ``turned_x`` ... [rad], ``talk_xy`` ...,
+    ``lean_xy`` (of hits along x towards y) ..., ``reach_x`` ..., ``skew`` [s]. A laser in place of the accelerometer
+    has none of its faults.
     """
     found = _matrices(tuple([values.get(n, 0.0) for n in SENSORS]))
     out = phi if found.force is None else phi @ found.force
@@ -157,7 +165,7 @@ def force(values: Values) -> Real:
 
 
 def mounting(values: Values) -> Real:
-    """Matrix from the motion to the channels x, y, z of the accelerometer: turned, exchanged, talking, scaled."""
+    """Matrix from the motion to the accelerometer's channels x, y, z: aside, turned, exchanged, talking, scaled."""
     out = np.eye(3)
     for k, a in enumerate(AXES):
         angle = values.get(f"turned_{a}", 0.0)
@@ -167,6 +175,7 @@ def mounting(values: Values) -> Real:
             turn[i, i] = turn[j, j] = math.cos(angle)
             turn[i, j], turn[j, i] = -math.sin(angle), math.sin(angle)
             out = out @ turn
+    out = out * [1.0 + values.get(f"aside_{a}", 0.0) for a in AXES]
     talk = np.eye(3)
     for a, b in PLANES:
         rows = [AXES.index(a), AXES.index(b)]

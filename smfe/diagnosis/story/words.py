@@ -37,6 +37,7 @@ _SENSOR = {
     "reversed": "sign along {}",
     "talk": "cross-talk of {}",
     "reach": "hits along {} beside their point",
+    "aside": "accelerometer beside its place, along {}",
     "exchanged": "exchange of {}",
     "quarter": "right angle from {}",
     "offset": "offset along {}",

@@ -25,7 +25,8 @@ from smfe.diagnosis.frf.workshop import (
 from smfe.diagnosis.judgement.diagnose import diagnose
 
 PHI = compliance(machine(1)[1], Hidden(), Setting(), LINES)
-EXACT = Tolerances(**dict.fromkeys(("hit_direction", "setup_direction", "hit_position", "clock"), 0.0))
+HITS = ("hit_direction", "setup_direction", "hit_position", "clock")
+EXACT = Tolerances(**dict.fromkeys((*HITS, "sensor_position"), 0.0))
 
 
 def excited(repeats: int = 4) -> Excited:
@@ -82,6 +83,18 @@ def test_sensors_and_hits_act_on_either_side_of_the_machine() -> None:
     np.testing.assert_allclose(mounting({"turned_z": 0.02}), turn(np.array([0.0, 0.0, 0.02])), atol=1e-15)
     np.testing.assert_allclose(measured(PHI, LINES, {"reversed_force": 1.0}), -PHI)
     np.testing.assert_allclose(measured(PHI, LINES, {"reversed_x": 1.0})[:, 0], -PHI[:, 0])
+
+
+def test_an_accelerometer_beside_its_place_is_no_wrong_gain() -> None:
+    """It moves as the point does and by what the machine turns: over the distance, about as much over 0.3 m."""
+    rng, known = np.random.default_rng(4), sensor_nuisances(Tolerances(sensor_gain=0.0, cross_talk=0.0))
+    beside, turns = 3e-3 * rng.standard_normal((4000, 3)), rng.standard_normal((4000, 3, 3)) / 0.3
+    shown = np.std([turn(r) @ t - t for r, t in zip(beside, turns, strict=True)], axis=0)
+    step = 1e-4
+    away = [(mounting({p.name: step}) - np.eye(3)) / step * p.prior for p in known]
+    trusted = np.sqrt(np.sum(np.square(away), axis=0))
+    np.testing.assert_allclose(np.diag(trusted), np.diag(shown), rtol=0.1)
+    assert np.all(trusted > 0.95 * shown)
 
 
 def test_what_hits_share_is_parted_from_their_noise() -> None:
