@@ -82,8 +82,9 @@ class Mill:
     """Machine, tool, material, and what is hidden in them.
 
     flank [N/m]: resistance of the worn flank over depth and ratio of speeds. linear, square: relative change of the
-    frequencies at `fastest` [rpm]. slip: share of its stiffness that the first mode loses at a cross-section `level` of
-    the chip [m2]. turn [rad]: of the first mode about z (in a slot both together change nothing).
+    frequencies at `fastest` [rpm], by their stiffness: masses stay. slip: share of its stiffness that the first mode
+    loses at a cross-section `level` of the chip [m2]. turn [rad]: of the first mode about z (in a slot both together
+    change nothing).
     extra: compliance [m/N], frequency [Hz], damping of one more mode.
     """
 
@@ -115,7 +116,6 @@ class Mill:
         stiff[0] = 1.0 - self.slip * section / self.level
         z[0] += 2.0 / (3.0 * math.pi) * (1.0 / stiff[0] - 1.0)
         bent = f * (1.0 + self.linear * share) * (1.0 + self.square * share**2)
-        mass = mass * (f / bent) ** 2
         w = 2.0 * math.pi * bent * np.sqrt(stiff)
         c, s = math.cos(self.turn), math.sin(self.turn)
         u[0] = c * u[0, 0] - s * u[0, 1], s * u[0, 0] + c * u[0, 1]

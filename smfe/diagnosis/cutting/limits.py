@@ -258,13 +258,14 @@ class CuttingLimits(Abilities):
 
         share = limit.spindle_speed / self._fastest()
         slip = np.clip(of("micro_slip") * self._level(limit), 0.0, 0.9)
-        frequency = (
-            m.frequency * (1.0 + of("frequency")) * (1.0 + of("linear") * share) * (1.0 + of("square") * share**2)
-        )
-        frequency = frequency * np.sqrt(1.0 - slip)
+        # What turns changes the stiffness, with the square of the speed where it is pulled outwards; its mass stays.
+        pulled = 1.0 + ((1.0 + of("square")) ** 2 - 1.0) * share**2
+        softer = np.maximum((1.0 + of("linear") * share) ** 2 * pulled, RULES.softest)
+        kept = softer * (1.0 - slip)
+        frequency = m.frequency * (1.0 + of("frequency")) * np.sqrt(kept)
         # Iwan's joint: loss stiffness 4/(3 pi) of the stiffness that it loses, over twice what is left.
         damping = m.damping * (1.0 + of("damping")) + 2.0 / (3.0 * math.pi) * slip / (1.0 - slip)
-        stiffness = m.stiffness * (1.0 + values.get("scale_error", 0.0)) * (1.0 + of("stiffness")) * (1.0 - slip)
+        stiffness = m.stiffness * (1.0 + values.get("scale_error", 0.0)) * (1.0 + of("stiffness")) * kept
         damping = np.minimum(damping, HIGHEST_DAMPING)
         model = ModalModel(frequency, damping, stiffness, _turned(m.direction, of("coupling")))
         return _with_mode(model, values)

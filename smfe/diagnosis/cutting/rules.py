@@ -77,6 +77,7 @@ class CuttingRules:
     missing_step: float = 0.1  # logarithm of their distance
     in_a_peak: float = 0.1
     """Share of the compliance of a mode along another in whose peak it lies from which it is not seen apart from it."""
+    softest: float = 0.05  # share of its stiffness that a mode keeps at any speed, far beyond those that were cut at
     turned: float = 0.4  # angle of one mode from which a fit of coupled axes begins, either way [rad]
     flank_friction: float = 0.3  # friction coefficient between flank and work
     minutes: float = 20.0  # to bracket a limit

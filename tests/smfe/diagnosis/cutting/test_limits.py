@@ -200,6 +200,15 @@ def test_the_compliance_of_all_modes_and_the_coefficients_are_one_number(plain: 
     assert not any(p.nameless for p in both)
 
 
+@pytest.mark.parametrize("law", ["linear", "square"])
+def test_bearings_that_soften_leave_the_mass_what_it_is(plain: CuttingLimits, law: str) -> None:
+    values = start(plain) | {f"{law}_1": -0.1}
+    fast, slow = (plain.changed(values, Limit(n)) for n in (SPEEDS[6], 1e-3))
+    mass = [m.stiffness / m.frequency**2 for m in (fast, slow)]
+    np.testing.assert_allclose(mass[0], mass[1], rtol=1e-9)
+    assert fast.frequency[0] / slow.frequency[0] == pytest.approx(0.9, rel=1e-6)
+
+
 def test_slopes_of_a_crossing_are_the_differences_of_its_limits(plain: CuttingLimits) -> None:
     parameters = [*plain.nuisances, *(p for c in plain.causes for p in c.parameters)]
     values = start(plain) | {"mode_compliance": 1e-9, "process_damping": 2e4, "micro_slip_1": 0.05, "coefficients": 0.1}
