@@ -183,10 +183,12 @@ def _of_baseline(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence[D
         best = bench.words([k for k in refused.causes if k not in at.causes])
         reason = f"the baseline is wrong, but the best explanation, {best}, is refused: {refused.reason}"
         # Enough is explained, but not proven on conditions that the fit did not see: more data, not another cause.
+        # Pairs that nothing tests fit whatever is hidden.
+        alone = refused.gain is None and len(refused.causes) == 1
+        untested = alone and not on_bound(bench.model, bench.fits[refused.causes], refused.causes)
         weak = all(s.gain is None for s in telling) or (
             bench.misfit(bench.fits[refused.causes]).p_value >= RULES.band
-            and refused.gain is not None
-            and refused.gain.db >= 1.0
+            and (untested or (refused.gain is not None and refused.gain.db >= 1.0))
         )
         reason += _differing(bench, at)
         return Judgement("insufficient_data" if weak else "unknown", reason, {}, left, tuple(carriers(left)))

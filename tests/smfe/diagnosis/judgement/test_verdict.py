@@ -5,7 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from smfe.diagnosis.inference.cross_validation import Gain
+from smfe.diagnosis.inference.misfit import Misfit
 from smfe.diagnosis.judgement import verdict
+from smfe.diagnosis.judgement.search import Step
 
 
 @pytest.mark.parametrize(("strain", "excluded"), [(3000.0, True), (0.0, False)])
@@ -18,3 +21,25 @@ def test_a_rival_that_must_move_what_was_declared_is_excluded_though_it_leaves_l
     monkeypatch.setattr(verdict, "most_needed", lambda *_: 50.0)
     bench = SimpleNamespace(rng=lambda *_: np.random.default_rng(1))
     assert verdict.excluded(bench, best, rival, SimpleNamespace(p_value=0.0)) == excluded
+
+
+@pytest.mark.parametrize(("causes", "said"), [((1,), "insufficient_data"), ((1, 2), "unknown")])
+def test_what_explains_all_and_cannot_be_tested_asks_for_data_and_a_pair_does_not(monkeypatch, causes, said):
+    """Bearings that one speed alone shows, beside a worse explanation that conditions left out could test."""
+    misfits = {"null": 1e-6, "best": 0.5, "other": 1e-3}
+    found = SimpleNamespace(causes=causes, name="best"), SimpleNamespace(causes=(3,), name="other")
+    gain = Gain(1.6, 1.0, 1.0, 0.3, -3.0)
+    steps = [
+        Step(f.causes, "", ratio, 20.0, g, 10.0, False, "untested" if g is None else "refuted")
+        for f, ratio, g in zip(found, (100.0, 60.0), (None, gain), strict=True)
+    ]
+    bench = SimpleNamespace(
+        fits={f.causes: f for f in found},
+        misfit=lambda f: Misfit(misfits[f.name], 1.0, 1.0, {0: 1.0}),
+        words=str,
+        model=None,
+    )
+    monkeypatch.setattr(verdict, "on_bound", lambda *_: "")
+    monkeypatch.setattr(verdict, "changing", lambda *_: None)
+    at = SimpleNamespace(converged=True, causes=(), name="null")
+    assert verdict._of_baseline(bench, at, steps, []).verdict == said
