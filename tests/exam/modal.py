@@ -18,6 +18,7 @@ from truth.modal_machine import (
 from truth.modal_workshop import measure_ordinarily
 
 from process.machine.modes import ModalModel
+from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.frf.modes import ModalFrfs
 from smfe.diagnosis.frf.noise import Excited, degrees_of_freedom_of
 from smfe.diagnosis.frf.workshop import apart
@@ -134,7 +135,10 @@ def draw(
         for s, own in proposals
     ]
     model = ModalModel(*modes(ram))
-    return ModalFrfs(model, tuple(conditions), tuple(proposed), without, SPREAD, tuple(SPREAD)).with_errors(), true
+    # The tool of this ram does not turn: an accelerometer beside its place shows what the point does.
+    known = Tolerances(sensor_position=0.0)
+    found = ModalFrfs(model, tuple(conditions), tuple(proposed), without, SPREAD, tuple(SPREAD), known)
+    return found.with_errors(), true
 
 
 def family(hidden: str | None, seed: int, snr: float = 40.0, without=(), size: float = 1.0):
