@@ -196,16 +196,18 @@ def proposed_moves(family: DriveRecordFamily) -> tuple[Condition, ...]:
     softly = PROPOSALS.gentle * steep
     soft = min(usual, 0.9 * math.sqrt(softly * (high - low)))  # what it reaches within the stroke
     half = 0.5 * (high - low)
+    begin, far = round(1e3 * (low + half)), round(1e3 * (high + half))
+    # No record says how fast and how far the machine can go.
     asked = [
         (f"at {_two(1e3 * slow)} mm/s", "speed", slow, steep, low),
-        (f"at {_two(1e3 * fast)} mm/s", "speed", fast, steep, low),
+        (f"at {_two(1e3 * fast)} mm/s, if it may move so fast", "speed", fast, steep, low),
         (f"with ramps of {_two(softly)} m/s2", "ramp", soft, softly, low),
-        (f"from {round(1e3 * (low + half))} to {round(1e3 * (high + half))} mm", "position", usual, steep, low + half),
+        (f"from {begin} to {far} mm, if its stroke goes so far", "position", usual, steep, low + half),
     ]
     found = []
-    for words, what, speed, ramp, begin in asked:
+    for words, what, speed, ramp, start in asked:
         if speed**2 / ramp <= high - low:  # else the stroke is too short to reach the speed
-            found.append(_moves(family, f"moves {words}", what, speed, ramp, begin, high - low, end))
+            found.append(_moves(family, f"moves {words}", what, speed, ramp, start, high - low, end))
     if len(ways) == 1:
         words = "moves in the other direction" + (", backward" if ways == {"forward"} else ", forward")
         found.append(_moves(family, words, "direction", usual, steep, low, high - low, end))

@@ -131,7 +131,9 @@ def diagnose(
                 if masked and (not found.causes or again.bad(found) or not _borne_out(again, found, declared)):
                     declared = []
                 elif _at_limit(again, found):
-                    objection, declared = IMPOSSIBLE.format(_at_limit(again, found)), []
+                    # What no value of it explains is a remainder, where causes explain nearly all.
+                    objection = "" if bench.named(at) else IMPOSSIBLE.format(_at_limit(again, found))
+                    declared = []
                 elif _empty(at, found, declared):
                     declared = []
                 elif not _borne_out(again, found, declared):
@@ -341,7 +343,8 @@ def _borne_out(bench: Bench, at: Fit, released: Sequence[Released]) -> bool:
     """
     before, as_given = as_declared(bench, at, released)
     groups = [list(r.values[0]) for r in released]
-    chosen = tuple(usable(bench.model, bench.target, at, at.causes, groups))
+    # Only what was released is on trial: a cause that one condition shows would leave none to be left out.
+    chosen = tuple(usable(bench.model, bench.target, at, (), groups))
     smaller, larger = (
         b.held_out(f, chosen) if chosen else within(b.model, b.target, f) for b, f in ((before, as_given), (bench, at))
     )

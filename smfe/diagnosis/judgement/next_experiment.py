@@ -166,8 +166,9 @@ def revealing(model: Model, target: Target, here: Tangent, limit: float, rows: S
         after = _with(model, target, at, limit, row, {key for key, _ in hidden})
         if after is None:
             return 0.0, {}
-        worth = sum(math.log(size / max(after.get(key, size), 1.0)) for key, size in hidden.items())
-        return (worth / _minutes(model, row) if worth > math.log(RULES.worth_saying) else 0.0), after
+        worth = [math.log(size / max(after.get(key, size), 1.0)) for key, size in hidden.items()]
+        # A little of each of many is nothing that can be said.
+        return (sum(worth) / _minutes(model, row) if max(worth) > math.log(RULES.worth_saying) else 0.0), after
 
     if len(rows) > RULES.proposals_tried:
         few = _least_seen(here)

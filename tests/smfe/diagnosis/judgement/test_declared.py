@@ -685,3 +685,48 @@ def test_a_cause_that_another_hides_is_found_if_it_matters_however_little_the_ot
     # One that would change less than matters is not looked for.
     little = diagnose(measured(truth | {"difference": 4.0}, kind=Curved), worth=WORTH)
     assert [c.id for c in little.causes] == ["curve"]
+
+
+def test_what_no_value_of_a_declared_one_explains_is_a_remainder_beside_a_cause_that_explains_nearly_all():
+    """A ripple of 100 %, and coefficients 0.65 % off of which nobody believes more than 0.5 %."""
+    bounded = (
+        replace(declared("coefficients", "force_coefficients", 3e-4), high=0.005),
+        declared("gain", "sensor_gain", 1e-5),
+    )
+    both, alone = (
+        diagnose(measured({"coefficients": 0.0065, "ripple": ripple}, nuisances=bounded), worth=Worth(0.003))
+        for ripple in (100.0, 0.0)
+    )
+    assert (both.verdict, ids(both)) == ("named", {"ripple": None})
+    # What is left of it where its prior holds it, of what the ripple makes more by a half.
+    assert 0.003 < both.remainder.size < 0.0065
+    assert (alone.verdict, alone.causes) == ("unknown", ())
+
+
+def test_a_cause_that_one_condition_shows_hinders_no_other_condition_from_being_left_out(monkeypatch):
+    """Coefficients a third off in six cuts, of which the first has a ripple besides."""
+
+    class Once(Scaled):
+        def predict(self, condition, values):
+            first = condition.settings["speed"] == 0.0
+            return np.tile(super().predict(condition, values if first else values | {"ripple": 0.0}), 2)
+
+    measured_twice = measured({"coefficients": 0.35, "ripple": 40.0}, kind=Once)
+    monkeypatch.setattr(judgement, "within", lambda *_: pytest.fail("only blocks of values are left out"))
+    found = diagnose(measured_twice, worth=WORTH)
+    assert set(ids(found)) == {"force_coefficients", "sensor_gain", "ripple"}
+
+
+def test_an_experiment_that_shows_a_little_of_each_of_many_is_not_proposed_for_nothing():
+    """A seventh cut like the others shows each of twelve shapes 8 % smaller: 150 % in all, and nothing to be said."""
+
+    class Many(Scaled):
+        def predict(self, condition, values):
+            more = sum(values.get(f"shape_{k}", 0.0) * np.cos(k * np.pi * X) for k in range(2, 14))
+            return super().predict(condition, values) + more
+
+    causes = tuple(Cause(f"shape_{k}", f"shape {k}", (Parameter(f"shape_{k}", "1", 0.0, 0.1),)) for k in range(2, 14))
+    again = Condition("as cut 1, once more", {"speed": 1.0, "feed": 1.0, "minutes": 5.0})
+    found = diagnose(measured({}, kind=Many, causes=causes, proposals=(again,)), worth=WORTH)
+    assert found.verdict == "consistent"
+    assert found.next_experiment is None or found.next_experiment.reveals
