@@ -166,7 +166,8 @@ def _spent(travel: float, share: float, amplitude: Real, _: Real) -> Complex:
     q = np.arccos(np.clip(1.0 - 2.0 / np.maximum(x, 1.0), -1.0, 1.0))
     beyond = x / (2.0 * np.pi) * (np.sin(q) - q * np.cos(q) - np.sin(q) ** 3 / 3.0)
     kept = np.where(x <= 1.0, 1.0 - 0.5 * x, beyond)
-    loss = np.where(x <= 1.0, 2.0 * x / (3.0 * np.pi), 4.0 * (0.5 * x - 1.0 / 3.0) / (np.pi * x**2))
+    slid = 4.0 * (0.5 * x - 1.0 / 3.0) / (np.pi * np.maximum(x, 1.0) ** 2)
+    loss = np.where(x <= 1.0, 2.0 * x / (3.0 * np.pi), slid)
     return np.asarray(share * (kept - 1.0 + 1j * loss))
 
 

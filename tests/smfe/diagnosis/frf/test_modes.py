@@ -30,7 +30,7 @@ from process.machine.modes import ModalModel
 from smfe.diagnosis.cases.experiments import PROPOSALS, proposed_modal_experiments
 from smfe.diagnosis.frf.causes import vector
 from smfe.diagnosis.frf.changed import Changed, Shaken
-from smfe.diagnosis.frf.modal_dynamics import DECAYING, full_compliance, unchanged
+from smfe.diagnosis.frf.modal_dynamics import DECAYING, _spent, full_compliance, unchanged
 from smfe.diagnosis.frf.modes import ModalFrfs
 from smfe.diagnosis.frf.noise import Excited
 from smfe.diagnosis.inference.fit import Fit, Target
@@ -507,3 +507,9 @@ class TestConfounded:
             assert bench.null().chi2 - at.chi2 - RULES.penalty * 6 < 60.0
             gains.append(0.0 if gain is None else gain.db)
         assert np.median(gains) <= 0.3
+
+
+def test_a_joint_at_rest_has_lost_nothing_and_one_that_slides_loses_all():
+    lost = _spent(1e-3, 0.3, np.array([0.0, 1e3]), np.zeros(2))
+    assert abs(lost[0]) < 1e-12
+    assert lost[1].real == pytest.approx(-0.3, rel=0.01)
