@@ -146,6 +146,10 @@ class Bench:
             found = self._keep(fit(self.model, self.target, found.causes, found.u))
         return found
 
+    def refitted(self, near: Fit) -> Fit:
+        """Fit a hypothesis once more from where it was fitted with other priors."""
+        return self._keep(fit(self.model, self.target, near.causes, near.u))
+
     def confirmed(self, found: Fit) -> Fit:
         """Fit a hypothesis with its own slopes."""
         return self._keep(fit(self.model, self.target, found.causes, found.u)) if found.provisional else found

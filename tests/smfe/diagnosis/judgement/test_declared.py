@@ -303,6 +303,29 @@ def test_what_stood_in_for_another_value_is_taken_back_once_that_is_found(monkey
     assert (found.verdict, set(ids(found))) == ("named", {"force_coefficients"})
 
 
+class Bent(Scaled):
+    """A ripple that is partly what the coefficients do."""
+
+    def predict(self, condition, values):
+        return super().predict(condition, values) + values.get("ripple", 0.0) * SHAPES[0]
+
+
+@pytest.mark.parametrize(("gain", "wrong"), [(0.0, {"ripple"}), (0.35, {"ripple", "sensor_gain"})])
+def test_a_declared_value_that_stood_in_for_a_cause_is_right_once_that_is_found(monkeypatch, gain, wrong):
+    """A search that finds the ripple only where the gain is free, which was moved for want of it."""
+    true = judgement.search
+
+    def blind(bench, *args, **more):
+        lost = bench.model.weight[1] > 0.0 and not more
+        return (bench.null(), []) if lost else true(bench, *args, **more)
+
+    monkeypatch.setattr(judgement, "search", blind)
+    truth = {"gain": gain, "ripple": 60.0}
+    found = diagnose(measured(truth, reference=True, kind=Bent), worth=WORTH)
+    assert found.verdict == "named"
+    assert set(ids(found)) == wrong
+
+
 @dataclass(frozen=True)
 class Carried(Scaled):
     """Two readings in every condition: both declared by themselves, or moved by one mass, the second twice as far."""
