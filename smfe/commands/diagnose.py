@@ -46,6 +46,9 @@ from smfe.results import (
 CURVES = ".nc"
 """Suffix of the file beside ``finding.json`` that holds the curves."""
 
+MOST_SAID = 3
+"""Reasons for which something was left out that an error lists."""
+
 FORM = 3
 """Number of the form in which findings are kept."""
 
@@ -129,7 +132,11 @@ def diagnose(
         case_of(loaded, {})  # says what is missing, before any record is read
     checked = audited(loaded, part(progress, 0.0, 0.3), None if path is None else path.parent / KEPT)
     suspects = checked.suspects
-    case = case_of(*_usable(loaded, checked.excluded, _identified(loaded, checked)), part(progress, 0.3, 0.4))
+    try:
+        case = case_of(*_usable(loaded, checked.excluded, _identified(loaded, checked)), part(progress, 0.3, 0.4))
+    except InputError as error:
+        gone = "; ".join(f"{f.name}: {f.reason}" for f in checked.excluded[:MOST_SAID])
+        raise InputError(f"{error}; left out were {gone}" if gone else str(error)) from error
     how = part(progress, 0.4, 1.0), held_out, workers, None, checked.identified, path
     finding, content = _tested(loaded, case, suspects, seed, *how)
     if path is not None:

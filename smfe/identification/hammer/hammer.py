@@ -291,7 +291,7 @@ def _gather_column(
     shared = min(blocks.frequency.size for blocks in gathered)
     frequency = gathered[0].frequency[:shared]
     for blocks in gathered[1:]:
-        if not np.allclose(blocks.frequency[:shared], frequency, rtol=1e-6):
+        if not np.allclose(blocks.frequency[:shared], frequency, rtol=RULES.same_clock):
             raise InputError(
                 f"the records of excitation {axis} are sampled at different rates, whose lines are not the same; "
                 "resample them to one rate"
@@ -630,7 +630,7 @@ def _shared_axis(name: str, columns: Sequence[_Column]) -> Real:
     frequency = columns[0].frequency
     for column in columns[1:]:
         shared = min(frequency.size, column.frequency.size)
-        if not np.allclose(column.frequency[:shared], frequency[:shared], rtol=1e-6):
+        if not np.allclose(column.frequency[:shared], frequency[:shared], rtol=RULES.same_clock):
             raise InputError(
                 f"measurement '{name}': excitations {columns[0].excitation} and {column.excitation} have "
                 "blocks of different length; resample the records to one rate or give a resolution"

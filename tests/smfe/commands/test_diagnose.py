@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from process.errors import InputError
 from smfe.campaign import load_campaign
 from smfe.commands import diagnose as command
-from smfe.commands.diagnose import Diagnosis, finding_of, write_finding
+from smfe.commands.diagnose import Diagnosis, diagnose, finding_of, write_finding
 from smfe.diagnosis.judgement.finding import Passage
 
 CURVES = xr.Dataset(
@@ -74,3 +75,23 @@ def test_a_diagnosis_shows_its_sentences_and_its_figure() -> None:
     assert found.sentences == ("It is <A> & B.", "Hit it.", "By the way.")
     assert found._repr_html_() == "<p><strong>It is &lt;A&gt; &amp; B.</strong></p><p>Hit it.</p>"
     assert len(found.plot().axes) == 2
+
+
+def test_a_diagnosis_that_has_nothing_left_says_why_records_were_left_out(tmp_path: Path) -> None:
+    more = """
+[baseline]
+from = "idle"
+[channels]
+time = { column = "t", unit = "s" }
+force_x = { column = "f", unit = "N" }
+acceleration_x = { column = "a", unit = "m/s^2" }
+[[measurement]]
+name = "hits"
+method = "hammer"
+records = [{ file = "hits.csv", excitation = "x" }]
+"""
+    (tmp_path / "hits.csv").write_text("t,f,a\n" + "".join(f"{1e-3 * n},0,0\n" for n in range(2000)), encoding="utf-8")
+    path = tmp_path / "campaign.toml"
+    path.write_text(CAMPAIGN + more, encoding="utf-8")
+    with pytest.raises(InputError, match=r"three hits or more.*; left out were hits: .*force"):
+        diagnose(path)

@@ -424,10 +424,23 @@ def test_what_is_no_hammer_record(kind: str) -> None:
 
 
 def test_different_sampling_rates() -> None:
-    """5000 and 4999 Hz share no block."""
-    records = [bench([(0.1, 25.0)], 4.0, rate=5000.0), bench([(0.1, 25.0)], 4.0, rate=4999.0)]
+    """Blocks of 100 ms have 500 samples at 5000 Hz and 472.5 at 4725 Hz: no number of them has the same lines."""
+    records = [bench([(0.1, 25.0)], 4.0, rate=rate) for rate in (5000.0, 4725.0)]
     with pytest.raises(InputError, match="different rates, whose lines are not the same; resample"):
-        identify_hammer("mixed", {"x": records})
+        identify_hammer("mixed", {"x": records}, resolution=10.0)
+
+
+@pytest.mark.parametrize("rate", [5000.5, 4999.0])
+def test_two_clocks_that_differ_a_little_have_the_same_lines(rate: float) -> None:
+    """Records of one axis, and of two, as two sessions of a recorder write them; both rates are wrong as likely."""
+    one, other = (bench([(0.1, 25.0)], 4.0, rate=r, noise=1e-3, seed=int(r)) for r in (5000.0, rate))
+    found = identify_hammer("clocks", {"x": [one, other]}, frequency_range=(30.0, 120.0))
+    assert found.tables["hits"]["used"].all()
+    assert relative_error(found.compliance) < 5e-3
+    axes = {"x": [three_axis("x", "xyz", 1)], "y": [three_axis("y", "xyz", 2)]}
+    slower = axes["y"][0].assign_coords(time=axes["y"][0]["time"] * 1.0001)
+    both = identify_hammer("clocks", axes | {"y": [slower]})
+    assert both.compliance.sizes["excitation"] == 2
 
 
 @pytest.mark.parametrize("rates", [(10000.0, 8000.0), (8000.0, 10000.0), (8000.0, 25600.0)])
