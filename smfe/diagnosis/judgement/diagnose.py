@@ -36,7 +36,7 @@ from smfe.diagnosis.judgement.hypotheses import Bench
 from smfe.diagnosis.judgement.materiality import EVERYTHING, Worth, predicted_size
 from smfe.diagnosis.judgement.next_experiment import Proposal, rank, revealing
 from smfe.diagnosis.judgement.search import Step, on_bound, search
-from smfe.diagnosis.judgement.verdict import Judgement, cause_size, drifting, judge
+from smfe.diagnosis.judgement.verdict import Judgement, cause_size, drifting, excluded, judge
 from smfe.progress import Progress, silent
 
 MEASURED = frozenset({"sensor_gain", "sensor_axis", "sensor_offset", "time_skew", "cross_talk", "accelerometer_mass"})
@@ -645,13 +645,22 @@ def _held_out_gain(before: Bench, bench: Bench, at: Fit, data: Mapping[int, Real
 
 
 def _unproven(bench: Bench, steps: Sequence[Step]) -> list[Fit]:
-    """Return the best hypotheses that were refused for want of a condition that tests them; one alone with the null."""
+    """Return the best hypotheses that were refused for want of a condition that tests them; one alone with the null.
+
+    What the data exclude beside the best needs no experiment, nor does what ends on the limit of what is physical
+    beside what does not.
+    """
     refused = {s.causes: bench.fits[s.causes] for s in steps if not s.accepted}
+    bound = {causes for causes, f in refused.items() if on_bound(bench.model, f, causes)}
     kept: list[Fit] = []
-    for f in sorted(refused.values(), key=lambda f: f.chi2 + charge(bench.model, f.causes)):
-        # More of the same is not another hypothesis.
-        if f.converged and not any(set(g.causes) & set(f.causes) for g in kept):
-            kept.append(f)
+    for f in sorted(refused.values(), key=lambda f: (f.causes in bound, f.chi2 + charge(bench.model, f.causes))):
+        # More of the same is not another hypothesis, nor is another law of it.
+        known = {bench.model.causes[k].id for g in kept for k in g.causes}
+        if not f.converged or known & {bench.model.causes[k].id for k in f.causes}:
+            continue
+        if kept and (f.causes in bound or excluded(bench, kept[0], f, bench.misfit(kept[0]))):
+            continue
+        kept.append(f)
     return kept[: RULES.contenders] if len(kept) > 1 else [*kept, bench.null()]
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from smfe.diagnosis.inference.cross_validation import Gain
 from smfe.diagnosis.inference.misfit import Misfit
-from smfe.diagnosis.judgement import verdict
+from smfe.diagnosis.judgement import diagnose, verdict
 from smfe.diagnosis.judgement.search import Step
 
 
@@ -43,3 +43,19 @@ def test_what_explains_all_and_cannot_be_tested_asks_for_data_and_a_pair_does_no
     monkeypatch.setattr(verdict, "changing", lambda *_: None)
     at = SimpleNamespace(converged=True, causes=(), name="null")
     assert verdict._of_baseline(bench, at, steps, []).verdict == said
+
+
+def test_an_experiment_decides_between_what_the_data_leave_open(monkeypatch):
+    """Not between two laws of one cause, nor what is far behind or on the limit of what is physical."""
+    names = ("bearings", "bearings", "slip", "mode", "turned")
+    causes = [SimpleNamespace(id=n, parameters=(0,)) for n in names]
+    fits = {
+        (k,): SimpleNamespace(causes=(k,), chi2=x, converged=True) for k, x in enumerate((4.0, 5.0, 43.0, 3.0, 6.0))
+    }
+    steps = [Step(f.causes, "", 90.0, 20.0, None, f.chi2, False, "untested") for f in fits.values()]
+    bench = SimpleNamespace(fits=fits, model=SimpleNamespace(causes=causes), misfit=lambda _: None, null=lambda: "null")
+    monkeypatch.setattr(diagnose, "charge", lambda *_: 0.0)
+    monkeypatch.setattr(diagnose, "on_bound", lambda _, f, __: "mode" if f.causes == (3,) else "")
+    monkeypatch.setattr(diagnose, "excluded", lambda _, best, f, __: f.chi2 - best.chi2 > 30.0)
+    assert [f.causes for f in diagnose._unproven(bench, steps)] == [(0,), (4,)]
+    assert diagnose._unproven(bench, [s for s in steps if s.causes in ((0,), (2,), (3,))]) == [fits[0,], "null"]
