@@ -71,6 +71,12 @@ def judge(
     found = _judged(bench, at, steps, sizes, worth, released)
     if objection and found.verdict in ("consistent", "named", "ambiguous"):
         return replace(found, verdict="unknown", reason=objection, sets={})
+    if found.verdict in ("named", "ambiguous") and (stands := _outdone(bench, at, steps)):
+        reason = (
+            f"{stands} explains far more than {bench.words(at.causes)}, but ends on the limit of what is physical: "
+            "what it stands for has no name in the catalogue"
+        )
+        return replace(found, verdict="unknown", reason=reason, sets={})
     if strain is None:
         return found
     named = [k for k in at.causes if k not in found.immaterial]
@@ -80,6 +86,23 @@ def judge(
         reason = f"it fits only with {strain.said} beyond what is trusted of it, and nothing of the catalogue says why"
         return replace(found, verdict="unknown", reason=reason, sets={})
     return found
+
+
+def _outdone(bench: Bench, at: Fit, steps: Sequence[Step]) -> str:
+    """Return what was refused as it stands for another fault, and beside which the data exclude a fit; "" for nothing.
+
+    A mode inside the peak of a known one is a compliance, or a force, that is wrong there. Where that explains what the
+    causes that were found do not, they fit a part of what another fault does.
+    """
+    model = bench.model
+    for s in steps:
+        better = None if s.accepted else bench.fits.get(s.causes)
+        if better is None or not better.converged or better.chi2 >= at.chi2 - RULES.margin:
+            continue
+        faults = [c.title for k in s.causes if (c := model.causes[k]).beyond and c.beyond(model.values(better.u))]
+        if faults and excluded(bench, better, at, bench.misfit(better)):
+            return faults[0]
+    return ""
 
 
 def _judged(

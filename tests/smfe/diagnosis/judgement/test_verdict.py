@@ -59,3 +59,19 @@ def test_an_experiment_decides_between_what_the_data_leave_open(monkeypatch):
     monkeypatch.setattr(diagnose, "excluded", lambda _, best, f, __: f.chi2 - best.chi2 > 30.0)
     assert [f.causes for f in diagnose._unproven(bench, steps)] == [(0,), (4,)]
     assert diagnose._unproven(bench, [s for s in steps if s.causes in ((0,), (2,), (3,))]) == [fits[0,], "null"]
+
+
+@pytest.mark.parametrize(("chi2", "said"), [(32.0, "unknown"), (4.0, "named")])
+def test_nothing_is_named_that_another_fault_without_a_name_outdoes(monkeypatch, chi2, said):
+    """A mode inside the peak of a known one is a compliance or a force that is wrong there: coefficients, say."""
+    causes = [
+        SimpleNamespace(title="coupled axes", beyond=None),
+        SimpleNamespace(title="a mode", beyond=lambda _: "in"),
+    ]
+    at, mode = (SimpleNamespace(causes=(k,), chi2=x, converged=True, u=None) for k, x in enumerate((chi2, 1.8)))
+    model = SimpleNamespace(causes=causes, values=lambda _: {})
+    bench = SimpleNamespace(fits={(1,): mode}, model=model, misfit=lambda _: None, words=str)
+    monkeypatch.setattr(verdict, "_judged", lambda *_: verdict.Judgement("named", ""))
+    monkeypatch.setattr(verdict, "excluded", lambda _, best, rival, __: rival.chi2 - best.chi2 > 7.0)
+    steps = [Step((1,), "", 60.0, 20.0, None, 1.8, False, "inside a peak")]
+    assert verdict.judge(bench, at, steps, []).verdict == said
