@@ -182,7 +182,7 @@ def _limit(campaign: Campaign, family: CuttingLimits, condition: Condition, valu
             {
                 "file": RECORD.format(f"{speed:.0f}_rpm_{k}"),
                 **made,
-                "depth_of_cut": _text(1e3 * share * expected, "mm"),
+                "depth_of_cut": f"{1e3 * share * expected:.3g} mm",  # as a machine is set
             },
         )
         for k, share in enumerate(_NEAR, 1)

@@ -243,7 +243,19 @@ def _one(e: Estimate, intervals: bool) -> str:
     """Return a parameter with its number: "stiffness 6.0 % higher a metre further", "radius of tooth 2: 15 µm"."""
     signs = () if e.name.startswith(_SHARES) else _SIGNED.get(e.unit, ())
     words = parameter_words(e.name)
+    if e.unit == "1/kHz^2":
+        return f"{words.replace('flexibility', 'resonance')} at {_resonance(e, intervals)}"
     return f"{words}{':' if words[-1:].isdigit() else ''} {Number(e, intervals):{'|'.join(signs)}}"
+
+
+def _resonance(e: Estimate, intervals: bool) -> str:
+    """Return the frequency of what is known by the inverse of its square, and nothing above one."""
+    lowest, found, highest = (1e3 / math.sqrt(x) if x > 0.0 else math.inf for x in (e.high, e.value, e.low))
+    if not intervals or lowest == 0.0:
+        return f"{rounded(found, 2)} Hz"
+    if math.isinf(highest):
+        return f"{rounded(lowest)} Hz or above"
+    return with_interval(found, lowest, highest, "Hz")
 
 
 def _importance(e: Estimate) -> float:

@@ -81,7 +81,7 @@ def test_a_limit_is_looked_for_on_both_sides_of_what_is_expected(tmp_path: Path)
     for p in family.proposals:
         pair = appended(given, block_of(given, family, p, {})).cutting_tests[-2:]
         expected = family.depth(p, {})
-        assert [t.depth_of_cut / expected for t in pair] == pytest.approx([0.97, 1.03], rel=1e-4)
+        assert [t.depth_of_cut / expected for t in pair] == pytest.approx([0.97, 1.03], rel=5e-3)
         assert [t.spindle_speed for t in pair] == pytest.approx([p.settings["spindle_speed"]] * 2)
 
 

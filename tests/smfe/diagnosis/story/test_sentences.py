@@ -20,7 +20,7 @@ from smfe.diagnosis.judgement.finding import (
     StableDepth,
 )
 from smfe.diagnosis.judgement.next_experiment import Proposal, Revealed
-from smfe.diagnosis.story.causes import Friction
+from smfe.diagnosis.story.causes import Friction, _one
 from smfe.diagnosis.story.sentences import Setting, told
 from smfe.diagnosis.story.to_do import action
 
@@ -358,3 +358,12 @@ def test_a_fault_of_the_data_is_told_in_words_before_anything_is_blamed() -> Non
         "A fault in the data, so that it is compared as it is: idle: two are exchanged. Exchange them.",
     ]
     assert passages[0].about == "fault"
+
+
+def test_a_dynamometer_that_vibrates_has_a_frequency_in_hertz():
+    """It is fitted by the inverse of its square: 1/(152.5 Hz)^2 is 43 1/kHz^2."""
+    found = Estimate("dynamometer_x", 43.0, 37.8, 48.1, "1/kHz^2")
+    assert _one(found, intervals=True) == "resonance of the dynamometer along x at 152.5 Hz (144.2 to 162.7)"
+    assert _one(found, intervals=False) == "resonance of the dynamometer along x at 150 Hz"
+    assert _one(replace(found, low=-1.0), intervals=True).endswith("at 144 Hz or above")
+    assert _one(replace(found, low=-1.0, high=np.inf), intervals=True).endswith("at 150 Hz")
