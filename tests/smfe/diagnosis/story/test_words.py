@@ -47,7 +47,7 @@ def catalogues() -> tuple[list[Parameter], list[Cause]]:
 
 
 PARAMETERS, CAUSES = catalogues()
-CODE = re.compile(r"_|[a-z]\.[a-z]|\{|\}|None|nan")
+CODE = re.compile(r"_|[a-z]\.[a-z]|\{|\}|None|\bnan\b")
 
 
 @pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda p: p.name)
