@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import linalg, stats
 
 from process.types import Real
 from smfe.diagnosis.inference.rules import RULES
@@ -126,13 +126,25 @@ def _square(r: Real, load: Real, sign: float) -> Real:
     """Squares over the covariance ``I +- L L^T`` and their degrees of freedom; without what a fit took."""
     if load.shape[1] == 0:
         return np.array([float(r @ r), float(r.size)])
-    left, singular, _ = np.linalg.svd(load, full_matrices=False)
+    left, singular = _left(load)
     inner = left.T @ r
     variance = 1.0 + sign * singular**2
     # Where the fit has taken nearly all the noise, what is left is how well it has converged.
     lost = variance < RULES.least_left
     square = float(r @ r - inner @ inner) + float(np.sum(inner[~lost] ** 2 / variance[~lost]))
     return np.array([max(square, 0.0), float(r.size - lost.sum())])
+
+
+def _left(load: Real) -> tuple[Real, Real]:
+    """Return the left singular vectors and the singular values of a matrix.
+
+    Divide and conquer gives up on some matrices that are nothing special; iteration by QR does not.
+    """
+    try:
+        left, singular, _ = np.linalg.svd(load, full_matrices=False)
+    except np.linalg.LinAlgError:
+        left, singular, _ = linalg.svd(load, full_matrices=False, lapack_driver="gesvd")
+    return left, singular
 
 
 def _slow(n: int) -> Real:

@@ -746,3 +746,18 @@ def test_a_cause_on_its_limit_gives_way_to_another_that_does_as_much_within():
     assert at.causes == (1,)
     assert [s.change for s in steps] == ["- bound", "+ free"]
     assert "limit of what is physical" in steps[0].reason
+
+
+def test_a_misfit_is_the_same_where_divide_and_conquer_gives_up(monkeypatch):
+    rng = np.random.default_rng(8)
+    load = {r: x for r, x in enumerate(np.split(np.linalg.qr(rng.standard_normal((100, 4)))[0], 2))}
+    residual = dict(enumerate(rng.standard_normal((2, 50))))
+    expected = assess([(residual, load)], shrinks=True)
+
+    def gives_up(*_, **__):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr(np.linalg, "svd", gives_up)
+    found = assess([(residual, load)], shrinks=True)
+    assert found.chi2 == pytest.approx(expected.chi2, rel=1e-9)
+    assert found.p_value == pytest.approx(expected.p_value, rel=1e-6)
