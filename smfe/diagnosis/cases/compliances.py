@@ -104,7 +104,8 @@ def _axis_family(
         hits = _fewest_hits(m, found[m.name], (axis,))
         if m.method == "hammer" and hits < RULES.fewest_hits:
             evidence = (
-                f"{hits} hits are used: their scatter does not separate a level or a state at rest that they share"
+                f"{_hits_used(found[m.name], axis)}: their scatter does not separate a level or a state at rest that "
+                "they share"
             )
             advice = f"left out of the comparison; hit {RULES.fewest_hits} times or more"
             few.append(warning("few_hits", m.name, f"{evidence} from the machine", advice))
@@ -119,7 +120,7 @@ def _axis_family(
     if not conditions:
         raise InputError(
             f"no hammer or actuator measurement has {axis} under a force along {axis} with its "
-            "uncertainty (three hits or more); the baseline has nothing to be compared with"
+            f"uncertainty (three hits or more{_too_few(found, (axis,))}); the baseline has nothing to be compared with"
         )
     family = as_hit(MachineFrfs(baseline, tuple(conditions)), RULES.discrepancy)
     return replace(family, proposals=proposed_experiments(family)), tuple(few)
@@ -139,8 +140,8 @@ def _modal_family(
             conditions.append(_condition(m, found[m.name], axes, band, order, m.controller, *more))
     if not conditions:
         raise InputError(
-            "no hammer or actuator measurement has an uncertainty (three hits or more); the baseline has nothing to be "
-            "compared with"
+            f"no hammer or actuator measurement has an uncertainty (three hits or more{_too_few(found, AXES)}); the "
+            "baseline has nothing to be compared with"
         )
     if driven:
         return machine_family(campaign, driven, modes, tuple(conditions))
@@ -205,6 +206,27 @@ def _fewest_hits(measurement: Measurement, found: Identification, axes: Sequence
     if measurement.method != "hammer":
         return 0
     return min(len(_used(found, a)) for a in axes)
+
+
+def _hits_used(found: Identification, axis: str) -> str:
+    """Say how many hits along an axis are used, and why the others are not."""
+    hits = found.tables["hits"]
+    along = hits[hits["excitation"] == axis]
+    out = along[~along["used"].astype(bool)]
+    why = "; ".join(f"hit {n} of {file}: {reason}" for n, file, reason in out[["hit", "file", "reason"]].values)
+    return f"{len(along) - len(out)} of {len(along)} hits are used" + (f" ({why})" if why else "")
+
+
+def _too_few(found: Mapping[str, Identification], axes: Sequence[str]) -> str:
+    """Say of which measurements hits are left out or too few, and why."""
+    every = [
+        f"{name}, {axis}: {_hits_used(one, axis)}"
+        for name, one in found.items()
+        for axis in axes
+        if "hits" in one.tables and len(one.tables["hits"].query("excitation == @axis")) > 0
+        if len(_used(one, axis)) < RULES.fewest_hits
+    ]
+    return "; " + "; ".join(every) if every else ""
 
 
 def _used(found: Identification, axis: str) -> pd.DataFrame:

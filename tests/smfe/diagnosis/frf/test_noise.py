@@ -13,6 +13,7 @@ from truth.campaign import Condition as Plan
 from truth.campaign import Design, measure
 from truth.chain import Chain
 
+from process.errors import InputError
 from process.labels import make_record
 from smfe.campaign import load_campaign
 from smfe.commands.diagnose import diagnose
@@ -122,6 +123,11 @@ def test_hits_are_kept_and_a_measurement_of_two_is_left_out_and_named(tmp_path: 
     assert len(compared.data.hits.force) == 3
     (few,) = case.suspects
     assert (few.cause, few.where) == ("few_hits", name_of(Plan(feed=500.0)))
+    hits = found[name_of(Plan())].tables["hits"]
+    hits["used"] = [True, True, False]
+    hits["reason"] = ["", "", "double hit: 25 N after 28 ms"]
+    with pytest.raises(InputError, match=r"2 of 3 hits are used \(hit \d+ of .*: double hit: 25 N after 28 ms\)"):
+        case_of(campaign, found)
 
 
 MIXED = (
