@@ -26,7 +26,7 @@ from process.simulation.excitation import Excitation, HalfSine
 from process.simulation.machine import RepeatedImpact
 from process.simulation.problem import MachineRun
 from process.types import Complex, Real
-from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Effective, Sides
+from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Effective
 from smfe.diagnosis.frf.causes import sensor_causes
 from smfe.diagnosis.frf.noise import Excited, excited_of, kept, scatter_of, smooth_errors
 from smfe.diagnosis.frf.rules import RULES
@@ -285,20 +285,13 @@ def as_hit(family: MachineFrfs, discrepancy: float, values: Values | None = None
     baseline, as far as the data move it plausibly, before and after). Two simulations of one machine may differ
     smoothly by the relative `discrepancy` (rms).
     """
-    baseline = family.baseline
     if values is None:
         # Friction of another level than is declared would be made the declared one by other pulls.
-        levels = (False, True) if "coulomb" in baseline.known else (False,)
+        levels = (False, True) if "coulomb" in family.baseline.known else (False,)
         every = [_put_right(family, discrepancy, n) for n in levels]
         values = min(every, key=lambda tried: tried[0])[1]
-        baseline = replace(baseline, contact=_contact(values)) if baseline.dry else baseline
     found = tuple(_of_mean_hit(family, c, values, discrepancy) for c in family.conditions)
-    measured = family.conditions
-    return replace(family, baseline=baseline, conditions=found, measured=measured, discrepancy=discrepancy)
-
-
-def _contact(values: Values) -> Sides:
-    return values["contact"], values.get("contact_loss", RULES.contact_loss)
+    return replace(family, conditions=found, measured=family.conditions, discrepancy=discrepancy)
 
 
 def _put_right(family: MachineFrfs, discrepancy: float, free: bool) -> tuple[float, Values]:
@@ -317,18 +310,13 @@ def _plausible_values(family: MachineFrfs, free: bool, known: Values | None = No
     data = {r: np.asarray(c.observed) for r, c in enumerate(family.conditions) if c.observed is not None}
     level = [k for k, c in enumerate(model.causes) if c.key == "guideway_friction/level"]
     target = Target(data, model.null())
-    begin = {p.name: (known or {}).get(p.name, p.start) for k in level for p in model.causes[k].parameters}
-    rest = any(excited_of(c).feed.get(family.baseline.axis, 0.0) == 0.0 for c in family.conditions)
-    contacts = family.baseline.contacts[: None if rest else 1] if known is None else (_contact(known),)
-    every = []
-    for contact, loss in contacts:
-        own = {"contact": contact, "contact_loss": loss} if family.baseline.dry else {}
-        start = model.scaled(begin | own)
-        u = plausibly(model, target, level if free else (), start)
-        found = residuals(model, target, u)
-        every.append((np.inf if found is None else sum(float(x @ x) for x in found.values()), u))
-    left, u = min(every, key=lambda tried: tried[0])
-    return left / sum(y.size for y in data.values()), model.values(u)
+    start = model.scaled(
+        {p.name: (known or {}).get(p.name, p.start) for k in level for p in model.causes[k].parameters}
+    )
+    u = plausibly(model, target, level if free else (), start)
+    found = residuals(model, target, u)
+    left = np.inf if found is None else sum(float(x @ x) for x in found.values()) / sum(y.size for y in data.values())
+    return left, model.values(u)
 
 
 def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, discrepancy: float) -> Condition:

@@ -68,7 +68,6 @@ class Effective(NamedTuple):
     gap: tuple[float, float]
     cubic: float
     contact: float  # compliance of the guideway that sticks [m/N]; 0 without dry friction
-    contact_loss: float  # damping of that contact over its stiffness [s]; 0 without dry friction
 
 
 def acting(servo: Servo, period: float) -> Servo:
@@ -97,9 +96,6 @@ class AxisBaseline:
     tolerances: Tolerances = field(default_factory=Tolerances)  # of the control and of the sensors
     period: float | None = None
     """Of the samples of the control [s]; zero: the servos are what they act as; None: not known, a nuisance."""
-    contact: Sides | None = None
-    """Compliance [m/N] of the guideway before it slides and damping over stiffness [s] with which fits begin; None: the
-    first of `contacts`."""
 
     def nuisances(self, others: Collection[str] = ()) -> tuple[Parameter, ...]:
         """Return the parameters that every hypothesis fits anew: of the machine, of its control, of the sensors.
@@ -120,17 +116,10 @@ class AxisBaseline:
             low, prior = 0.0 if name == "viscous" else 0.05 * start, self.spread[name] * size
             of = (GIVEN.get(name, ""), True, SAID.get(name, name))
             found.append(Parameter(name, unit, start, 0.1 * size, low, 20.0 * size, prior, shown, *of))
-        # How far a guideway gives way before it slides, and what that damps, nobody declares. Where its friction is not
-        # declared either, a contact as wide as any would hide how far that differs between the directions.
-        (soft, loss), (stiff, _) = self.contact or self.contacts[0], self.contacts[0]
-        if self.dry:
-            around = (0.1 * stiff, max(5.0 * self._loose, 50.0 * stiff), max(self._loose, RULES.contact_spread * stiff))
-            found.append(Parameter("contact", "um/kN", soft, 2.0 * stiff, *around, 1e9, secondary=True))
-            most = (0.0, RULES.most_contact_loss, RULES.contact_loss_spread)
-            found.append(Parameter("contact_loss", "ms", loss, RULES.contact_loss, *most, 1e3, secondary=True))
-        else:
-            around = (0.1 * stiff, 50.0 * stiff, RULES.contact_spread * stiff)
-            found.append(Parameter("contact", "um/kN", soft, 0.2 * stiff, *around, 1e9))
+        # Over how far a guideway gives way before it slides nobody declares, and only an axis with friction shows.
+        soft = RULES.contact * RULES.contact_axis / d.stiffness
+        around = (0.1 * soft, 50.0 * soft, RULES.contact_spread * soft)
+        found.append(Parameter("contact", "um/kN", soft, 0.2 * soft, *around, 1e9))
         t = self.tolerances
         if self.servos and t.control_gain > 0.0:
             for gain, said in (("Kp", "velocity gain Kp"), ("Ti", "integral time Ti"), ("Kv", "position gain Kv")):
@@ -152,31 +141,6 @@ class AxisBaseline:
         # Force sensor and accelerometer are calibrated one by one.
         sensors = gain_nuisance("gain_error", said, math.sqrt(2.0) * t.sensor_gain), skew_nuisance(t.clock)
         return (*found, *(p for p in sensors if p is not None))
-
-    @property
-    def contacts(self) -> tuple[Sides, ...]:
-        """Contacts from which fits begin, as `contact`: one that hardly gives way, and of a dry guideway a loose one.
-
-        From the first alone gains and dead time take what the second does, and it is not found.
-        """
-        stiff = (RULES.contact * RULES.contact_axis / self.drive.stiffness, RULES.contact_loss)
-        share, loss = RULES.loose_contact
-        return (stiff, (share * self._loose, loss)) if self.dry else (stiff,)
-
-    @property
-    def dry(self) -> bool:
-        """Whether dry friction is declared."""
-        return self._declared() > 0.0
-
-    @property
-    def _loose(self) -> float:
-        """Compliance of the contact of a declared friction that is as loose as any [m/N]."""
-        return RULES.presliding / self._declared()
-
-    def _declared(self) -> float:
-        """Force that the guideway holds at rest as it is declared [N]."""
-        given = (self.known.get(name, 0.0) for name in ("static", "coulomb"))
-        return max(max(x) if isinstance(x, tuple) else float(x) for x in given)
 
     @property
     def rate(self) -> float:
@@ -224,9 +188,6 @@ class AxisBaseline:
             for name, s in self.servos.items()
         )
         share, part = values.get("micro_slip_share", 0.0), values.get("gap_share", 0.0)
-        dry = max(forth.static, back.static) > 0.0
-        # Bristles that slide hardly damp: what they damp at rest falls with the speed (Olsson et al. 1998).
-        loss = values.get("contact_loss", RULES.contact_loss) if feed == 0.0 else RULES.contact_loss
         return Effective(
             (values["moving_mass"], values["tip_mass"] + extra),
             values["stiffness"] * grown,
@@ -236,8 +197,7 @@ class AxisBaseline:
             (share, values["micro_slip_travel"] if share > 0.0 else 0.0),
             (part, values["gap"] if part > 0.0 else 0.0),
             values.get("cubic_stiffness", 0.0),
-            values["contact"] if dry else 0.0,
-            loss if dry else 0.0,
+            values["contact"] if max(forth.static, back.static) > 0.0 else 0.0,
         )
 
     def under(self, found: Effective, controller: str | None) -> Effective:
@@ -281,7 +241,7 @@ class AxisBaseline:
             joints.append(MountedJoint(CubicSpring(0.0, found.cubic), across))
         law: FrictionLaw | LuGre = Viscous(found.friction[0].viscous)
         if max(side.static for side in found.friction) > 0.0:
-            stiff, loss = 1.0 / found.contact, found.contact_loss / found.contact
+            stiff, loss = 1.0 / found.contact, RULES.contact_loss / found.contact
             forth, back = (
                 LuGre(stiff, loss, max(s.coulomb, 1e-6), max(s.static, s.coulomb, 1e-6), s.speed or 1.0, s.viscous)
                 for s in found.friction

@@ -64,15 +64,8 @@ class FrfRules:
     contact_axis: float = (
         1.68e6  # ... of an axis of this stiffness [N/m]: the stiffer the axis, the stiffer its guideway
     )
-    contact_spread: float = 10.0  # prior standard deviation of it, over itself, at the least
-    presliding: float = 20e-6
-    """Displacement before a guideway slides [m], as its standard deviation about hardly any: sliding ones 1 to 10 um,
-    those on rolling elements 5 to 50 (Futami et al., Nanotechnology 1, 1990)."""
-    contact_loss: float = 1.2e-4  # damping of a contact over its stiffness [s], where nothing is seen of it
-    contact_loss_spread: float = 3e-3  # its prior standard deviation: 3.2 ms in Canudas de Wit et al. 1995
-    most_contact_loss: float = 20e-3  # ... and its most
-    loose_contact: tuple[float, float] = (0.15, 1e-3)
-    """Share of `presliding`, and damping over stiffness [s], of a loose contact from which fits begin as well."""
+    contact_spread: float = 10.0  # prior standard deviation of it, over itself: guideways differ by factors
+    contact_loss: float = 1.2e-4  # its damping over its stiffness [s]
     elements: int = 20  # Jenkins elements of a joint with micro-slip
     hit_elements: int = 40  # the same in hits on modes: each that begins to slip bends a slope a little
     steps_a_period: float = 16.0  # of the highest mode that moves a joint in a hit: 1 % of what the joint does

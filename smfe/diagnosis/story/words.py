@@ -62,7 +62,6 @@ _SENSOR = {
 PARAMETERS = {
     "moving_mass": "moving mass",
     "contact": "softness of the contact of the guideway",
-    "contact_loss": "damping of the contact of the guideway over its stiffness",
     "tip_mass": "mass of the tip",
     "stiffness": "stiffness",
     "damping": "damping",

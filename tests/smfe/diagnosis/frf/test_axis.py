@@ -17,8 +17,6 @@ from process.drive.servo import Servo
 from smfe.diagnosis.frf.axis import MachineFrfs, Recorded, SimulatedMachine, as_hit, at_rest
 from smfe.diagnosis.frf.axis_baseline import acting
 from smfe.diagnosis.frf.noise import Excited, Hits, degrees_of_freedom_of, scatter_of, smooth_errors
-from smfe.diagnosis.inference.fit import Target, fit, roughly
-from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.judgement.diagnose import diagnose
 
@@ -214,24 +212,6 @@ def test_hits_at_rest_tell_what_the_drive_pulled_as_they_came():
             far[share].append(np.linalg.norm(away) / np.linalg.norm(measured))
     assert max(far[0.0]) > 0.2
     assert max(far[1.0]) < 0.05
-
-
-def test_a_guideway_that_gives_way_and_damps_before_it_slides_moves_no_dead_time():
-    """By 2.5 um and with 0.9 ms of its stiffness, as rolling elements do; bristles that slide damp hardly any more."""
-    stiff, loss, quiet = 84.0 / 2.5e-6, 0.9e-3, Chain(snr=60.0, bits=24, double=0.0)
-    records = []
-    for feed, level, damping in ((0.0, 25.0, loss), (500.0, 100.0, 1.2e-4)):
-        soft = replace(Friction(), bristle_stiffness=stiff, bristle_damping=damping * stiff)
-        plan = Design("one", (Plan("hammer", feed, level, "K2"),))
-        records += measure(Truth(friction=soft), plan, 3, quiet)
-    found = as_hit(MachineFrfs(baseline(), tuple(map(condition_of, records))), 0.0)
-    model = Model(found, found.conditions)
-    target = Target({r: np.asarray(c.observed) for r, c in enumerate(found.conditions)}, model.null())
-    best = fit(model, target, (), roughly(model, target))
-    values = model.values(best.u)
-    assert best.converged
-    assert values["extra_delay"] == pytest.approx(0.0, abs=5e-5)
-    assert [values["contact"], values["contact_loss"]] == pytest.approx([1.0 / stiff, loss], rel=0.25)
 
 
 def test_what_is_softer_at_one_place_is_not_taken_for_what_the_drive_pulled_there():
