@@ -37,6 +37,8 @@ class Tolerances:
         Time between the recorders of force and motion [s].
     hum : float
         Mains hum and its harmonics over the rms of a channel [1].
+    mode_direction : float
+        By which the direction of a mode that is declared is off [rad].
     declared_mass : float
         Masses that are declared [1].
     control_gain : float
@@ -59,6 +61,7 @@ class Tolerances:
     mounting_angle: float = _DEGREE
     clock: float = 20e-6
     hum: float = 0.01
+    mode_direction: float = 2.0 * _DEGREE
     declared_mass: float = 0.1
     control_gain: float = 0.02
     dead_time: float = 1e-4
@@ -78,6 +81,7 @@ class TolerancesTable(Table):
     mounting_angle: Lean | None = None
     clock: q.NoTime | None = None
     hum: q.Share | None = None
+    mode_direction: Lean | None = None
     declared_mass: q.Share | None = None
     control_gain: q.Share | None = None
     dead_time: q.NoTime | None = None

@@ -9,7 +9,7 @@ modal stiffnesses: its diagonal moves the frequencies, the rest turns the shapes
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations, combinations_with_replacement, product
@@ -171,12 +171,18 @@ def sensor_causes(band: tuple[float, float], stiffness: float = 1.68e6) -> tuple
 
 
 def modal_causes(
-    modes: Sequence[int], band: tuple[float, float], size: float, reach: float, places: int
+    modes: Sequence[int],
+    band: tuple[float, float],
+    size: float,
+    reach: float,
+    places: int,
+    aside: Mapping[int, float] | None = None,
 ) -> tuple[Cause, ...]:
     """Return what a model of some modes may lack, by their numbers, and in what its measurement may be wrong.
 
     It was compared over a band [Hz], in which its largest compliance is `size` [m/N], at a number of places, the
-    farthest `reach` [m] from that of the baseline (1 where all are alike).
+    farthest `reach` [m] from that of the baseline (1 where all are alike). The direction of each mode is known to
+    `aside` [rad].
     """
     small, far = 0.003 * size, 0.9 / reach
     whole, across, count = pairs(modes), tuple(combinations(modes, 2)), len(modes)
@@ -224,7 +230,12 @@ def modal_causes(
         joint("joint_micro_slip", "micro-slip in a joint"),
         spent(),
         joint("joint_hardening", "a joint that hardens with displacement"),
-        _cause("cross_axis_coupling", "directions of the modes: axes that are coupled", *turns, variant="directions"),
+        replace(
+            _cause(
+                "cross_axis_coupling", "directions of the modes: axes that are coupled", *turns, variant="directions"
+            ),
+            known={f"turn_{side}_{r}": off for r, off in (aside or {}).items() for side in "ab"},
+        ),
         _cause("cross_axis_coupling", "springs between the axes", *matrix("coupling"), variant="springs"),
         _missing_mode(band, (small, 10.0 * size, 0.5, 2.0), small, 10, *directions, along=along, variant="in band"),
         _cause("missing_mode", "flexibility of modes above the band", *residual, variant="above"),

@@ -51,6 +51,9 @@ DAMPING_OF_PLACE = 0.25
 FILLING = 1.0
 """Prior standard deviation of the compliance of what only fills up a fitted compliance, relative."""
 
+BEYOND = 0.5
+"""Standard deviation of the direction of a mode beyond the lines, which stands for what lies beyond it too [rad]."""
+
 LEAST_TURN = 1e-3
 """Prior standard deviation of the direction of a fitted mode where hits and sensors do not lean at all [rad]."""
 
@@ -199,7 +202,9 @@ class ModalFrfs(Abilities):
         band = (min(float(d.frequency[0]) for d in data), max(float(d.frequency[-1]) for d in data))
         size = float(np.abs(self.model.matrix(np.linspace(*band, 400))).max())
         numbers = [r + 1 for r in self._own]
-        every = modal_causes(numbers, band, size, self._reach, len(self._places))
+        inside = (self.model.frequency >= band[0]) & (self.model.frequency <= band[1])
+        aside = {r: self.tolerances.mode_direction if inside[r - 1] else BEYOND for r in numbers}
+        every = modal_causes(numbers, band, size, self._reach, len(self._places), aside)
         gone = (*self.without, *(() if self.fitted is None else OF_DECLARED))
         return tuple(c for c in every if c.key not in gone and c.id not in gone)
 

@@ -74,6 +74,9 @@ class Cause:
     """From values to other ones of the parameters that predict (nearly) the same: a symmetry of the cause. Of two that
     fit alike the nearer to the null is taken."""
 
+    known: Values = field(default_factory=dict)
+    """Standard deviation with which anybody knows each of its parameters (SI); none: zero until shown not to be."""
+
     beyond: Callable[[Mapping[str, float]], str] | None = field(default=None, compare=False)
     """From values to the parameter that is where this cause cannot be, in words; "" for none. As an end of its bounds:
     a fit may pass there, and what ends there is refused."""

@@ -120,7 +120,8 @@ def _judged(
     left = bench.misfit(at) if apart is None else apart.misfit
     how = "" if chosen else "; held out were blocks of values, as no condition can be left out"
     model = bench.model
-    small = tuple(k for k in at.causes if cause_size(bench, at, k, worth) < worth.material)
+    known = tuple(k for k in at.causes if _as_known(bench, at, k))
+    small = tuple(k for k in at.causes if k in known or cause_size(bench, at, k, worth) < worth.material)
     named = [k for k in at.causes if k not in small]
     best = bench.words(named or at.causes)
     sets = {k: fits for k in named if (fits := _open(bench, at, k, left))}
@@ -140,13 +141,31 @@ def _judged(
         return replace(told, verdict="ambiguous", reason=f"the data fit more than one cause{how}")
     if not named:
         verdict: Verdict = "named" if released else "consistent"
-        return replace(told, verdict=verdict, reason=f"{best} is seen, but too small to matter{how}")
+        said = "no more than what is known of it" if known else "too small to matter"
+        return replace(told, verdict=verdict, reason=f"{best} is seen, but {said}{how}")
     rest = f", with a remainder of {_percent(size)} of what was measured" if matters else ""
     return replace(
         told,
         reason=f"{best}{rest or ' and nothing else of the catalogue'}{how}",
         carriers=tuple(carriers(left)) if matters else (),
     )
+
+
+def _as_known(bench: Bench, at: Fit, k: int) -> bool:
+    """Whether a cause is no more than what anybody knows of it: directions of modes, to a degree or two.
+
+    Its parameters p with the covariance C of the fit are zero to within s: ``p^T (C + s^2)^-1 p`` is a chi-square.
+    """
+    model, known = bench.model, bench.model.causes[k].known
+    if not known:
+        return False
+    own = np.isin(at.free, model.of_cause[k])
+    slope, _ = stacked(model, bench.target, at.free, at.u, at.residual, at.slope)
+    spread = np.linalg.pinv(slope.T @ slope, hermitian=True)[np.ix_(own, own)]
+    off, scale = at.u[at.free][own], model.scale[at.free][own]
+    trusted = np.array([known[model.names[j]] for j in at.free[own]]) / scale
+    pull = float(off @ np.linalg.solve(spread + np.diag(trusted**2), off))
+    return pull <= float(stats.chi2.isf(RULES.contradicted, off.size))
 
 
 def _percent(share: float) -> str:

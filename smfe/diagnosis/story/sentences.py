@@ -332,14 +332,19 @@ def _immaterial(finding: Finding, setting: Setting) -> Iterator[str]:
     if not finding.immaterial:
         return
     limit = f" (less than {percent(finding.material)} %)" if finding.material > 0.0 else ""
-    small, large = list[str](), list[str]()
+    small, large, known = list[str](), list[str](), list[str]()
     for cause in finding.immaterial:
         numbers = numbers_of(cause, False, setting.friction)
         size = "" if cause.size is None else f", which changes {percent(cause.size)} %"
         beyond = 0.0 < finding.material <= (cause.size or 0.0)
-        (large if beyond else small).append(f"{_name(cause)}{f' ({numbers})' if numbers else ''}{size}")
+        as_known = beyond and cause.id == "cross_axis_coupling"
+        (known if as_known else large if beyond else small).append(
+            f"{_name(cause)}{f' ({numbers})' if numbers else ''}{size}"
+        )
     if small:
         yield f"Seen, but too small to matter{limit}: {listed(small)}."
+    if known:
+        yield f"Seen, and no more than what is known of it ([tolerances] mode_direction): {listed(known)}."
     if large:
         # By itself it changes much; other values of what was declared do nearly the same without it.
         yield f"Seen, but what it does to the measurements other values do as well: {listed(large)}."

@@ -600,6 +600,9 @@ def _write(
     out.say("[channels]", *rows)
     if by_model:
         f, zeta, k, d = modes(healthy.machine.ram)
+        # Nobody knows which way a mode moves to better than a degree or two; drawn apart, the rest stays as it is.
+        d = d + math.tan(math.radians(1.5)) * np.clip(rng.spawn(1)[0].standard_normal(d.shape), -2.0, 2.0)
+        d = d / np.linalg.norm(d, axis=1)[:, None]
         wrong = 1.0 + np.clip(errors[:, : f.size], -2.0, 2.0) * np.array([list(uncertain.values())]).T
         each = [
             f'    {{ frequency = "{a:.6g} Hz", damping = {z:.5g}, stiffness = "{s / 1e6:.6g} N/um", '

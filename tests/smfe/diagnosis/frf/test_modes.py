@@ -39,6 +39,7 @@ from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.judgement.diagnose import diagnose
 from smfe.diagnosis.judgement.hypotheses import Bench
+from smfe.diagnosis.judgement.materiality import Worth
 from smfe.progress import silent
 
 BARE = Hidden(cable=0.0)
@@ -389,6 +390,22 @@ def tapped(declared: list[int], mounting: np.ndarray) -> Bench:
     one = Model(fam, fam.conditions)
     target = Target({r: np.asarray(c.observed) for r, c in enumerate(fam.conditions)}, one.null())
     return Bench(one, target, 0, silent)
+
+
+@pytest.mark.parametrize(("degrees", "verdict"), [(1.0, "consistent"), (6.0, "named")])
+def test_declared_directions_are_known_to_a_degree_or_two(degrees: float, verdict: str) -> None:
+    """One degree changes the limits of depth by 8 %, and is what a workshop or a finite element model is off by."""
+    fam = tapped([0, 1, 2, 3, 4], np.eye(3)).model.family
+    assert isinstance(fam, ModalFrfs)
+    true, rng = np.array(fam.model.direction), np.random.default_rng(4)
+    length = np.linalg.norm(true, axis=1)[:, None]
+    off = true / length + math.tan(math.radians(degrees)) * np.clip(rng.standard_normal(true.shape), -2.0, 2.0)
+    off *= length / np.linalg.norm(off, axis=1)[:, None]
+    stated = ("frequency", "damping", "stiffness")
+    found = diagnose(replace(fam, model=replace(fam.model, direction=off), stated=stated), 0, worth=Worth(0.05))
+    shown = found.immaterial if verdict == "consistent" else found.causes
+    assert (found.verdict, [c.id for c in shown]) == (verdict, ["cross_axis_coupling"])
+    assert shown[0].size > 0.05
 
 
 def with_cause(bench: Bench, key: str) -> tuple[Fit, Fit]:
