@@ -136,6 +136,8 @@ def diagnose(
         case = case_of(*_usable(loaded, checked.excluded, _identified(loaded, checked)), part(progress, 0.3, 0.4))
     except InputError as error:
         gone = "; ".join(f"{f.name}: {f.reason}" for f in checked.excluded[:MOST_SAID])
+        more = len(checked.excluded) - MOST_SAID
+        gone += f"; and {more} more" if more > 0 else ""
         raise InputError(f"{error}; left out were {gone}" if gone else str(error)) from error
     how = part(progress, 0.4, 1.0), held_out, workers, None, checked.identified, path
     finding, content = _tested(loaded, case, suspects, seed, *how)

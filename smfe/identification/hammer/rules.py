@@ -11,7 +11,7 @@ class HammerRules:
 
     same_clock: float = 1.2e-4
     """Relative difference of the lines of two records up to which they are the same: two clocks are each wrong by
-    50 ppm or so, and nobody knows which; a mode of 0.5 % damping moves by a fiftieth of its half-width."""
+    50 ppm or so, and nobody knows which; a mode of 0.5 % damping moves by a fortieth of its half-width."""
 
     clear_tone: float = 40.0
     """Power of a line over the noise round it from which it is a tone; noise exceeds it in exp(-40) of the lines."""
