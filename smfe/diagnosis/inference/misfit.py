@@ -126,7 +126,7 @@ def _square(r: Real, load: Real, sign: float) -> Real:
     """Squares over the covariance ``I +- L L^T`` and their degrees of freedom; without what a fit took."""
     if load.shape[1] == 0:
         return np.array([float(r @ r), float(r.size)])
-    left, singular = _left(load)
+    left, singular, _ = decomposed(load)
     inner = left.T @ r
     variance = 1.0 + sign * singular**2
     # Where the fit has taken nearly all the noise, what is left is how well it has converged.
@@ -135,16 +135,16 @@ def _square(r: Real, load: Real, sign: float) -> Real:
     return np.array([max(square, 0.0), float(r.size - lost.sum())])
 
 
-def _left(load: Real) -> tuple[Real, Real]:
-    """Return the left singular vectors and the singular values of a matrix.
+def decomposed(matrix: Real) -> tuple[Real, Real, Real]:
+    """Return the singular value decomposition of a matrix, as `numpy.linalg.svd` without what is not needed.
 
     Divide and conquer gives up on some matrices that are nothing special; iteration by QR does not.
     """
     try:
-        left, singular, _ = np.linalg.svd(load, full_matrices=False)
+        left, singular, right = np.linalg.svd(matrix, full_matrices=False)
     except np.linalg.LinAlgError:
-        left, singular, _ = linalg.svd(load, full_matrices=False, lapack_driver="gesvd")
-    return left, singular
+        left, singular, right = linalg.svd(matrix, full_matrices=False, lapack_driver="gesvd")
+    return left, singular, right
 
 
 def _slow(n: int) -> Real:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from process.types import Real
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
+from smfe.diagnosis.inference.misfit import decomposed
 from smfe.diagnosis.inference.model import Index, Model
 from smfe.diagnosis.inference.rules import RULES
 
@@ -57,7 +58,7 @@ def orthonormal(columns: Real) -> Real:
     unit = columns[:, size > 0.0] / size[size > 0.0]
     if unit.shape[1] == 0:
         return np.zeros((columns.shape[0], 0))
-    left, singular, _ = np.linalg.svd(unit, full_matrices=False)
+    left, singular, _ = decomposed(unit)
     return np.asarray(left[:, singular > 1e-7 * singular[0]])
 
 
@@ -207,7 +208,7 @@ def cosines(model: Model, at: Tangent) -> Real:
     for i, a in bases:
         for j, b in bases:
             if a.shape[1] == b.shape[1] > 0:
-                smallest = float(np.linalg.svd(a.T @ b, compute_uv=False).min())
+                smallest = float(decomposed(a.T @ b)[1].min())
                 found[i, j] = max(found[i, j], min(smallest, 1.0))
     return found
 

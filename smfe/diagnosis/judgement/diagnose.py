@@ -15,7 +15,7 @@ from process.errors import InputError
 from process.types import Complex, Real
 from smfe.diagnosis.inference.cross_validation import Gain, HeldOut, compare, unseen, usable, within
 from smfe.diagnosis.inference.fit import Fit, Target, fit, residuals, stacked
-from smfe.diagnosis.inference.misfit import Misfit
+from smfe.diagnosis.inference.misfit import Misfit, decomposed
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition, Family
 from smfe.diagnosis.inference.rules import RULES
@@ -737,7 +737,7 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> Real:
     slope, _ = stacked(bench.model, bench.target, at.free, at.u, at.residual, at.slope)
     size = np.linalg.norm(slope, axis=0)
     moving = inside(bench.model, at) & (size > 0.0)
-    rotated, singular, right = np.linalg.svd((slope / np.where(size > 0.0, size, 1.0))[:, moving], full_matrices=False)
+    rotated, singular, right = decomposed((slope / np.where(size > 0.0, size, 1.0))[:, moving])
     known = singular > RULES.determined * singular.max(initial=0.0)
     inverse = (right[known].T / singular[known]) @ rotated[:, known].T / size[moving, None]
     sd = np.where(size > 0.0, 0.0, np.inf)

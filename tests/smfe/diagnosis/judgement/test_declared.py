@@ -753,3 +753,16 @@ def test_an_experiment_that_shows_a_little_of_each_of_many_is_not_proposed_for_n
     found = diagnose(measured({}, kind=Many, causes=causes, proposals=(again,)), worth=WORTH)
     assert found.verdict == "consistent"
     assert found.next_experiment is None or found.next_experiment.reveals
+
+
+def test_a_diagnosis_is_the_same_where_divide_and_conquer_gives_up(monkeypatch):
+    def gives_up(*_, **__):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    family = measured({"coefficients": 0.35, "ripple": 15.0})
+    expected = diagnose(family, worth=WORTH)
+    monkeypatch.setattr(np.linalg, "svd", gives_up)
+    found = diagnose(family, worth=WORTH)
+    assert (found.verdict, ids(found)) == (expected.verdict, ids(expected))
+    for one, other in zip(found.causes, expected.causes, strict=True):
+        assert one.parameters[0].high == pytest.approx(other.parameters[0].high, rel=1e-6)
