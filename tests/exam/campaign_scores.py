@@ -259,11 +259,11 @@ TITLES = {
 }
 
 
-def page(answers: Sequence[Said], trial: bool = False, code: str = "") -> str:
-    """The table for the documentation; `code`: the state of the code as it is."""
+def page(answers: Sequence[Said], trial: bool = False, code: Callable[[str], str] = lambda family: "") -> str:
+    """The table for the documentation; `code`: the state of the code of a family as it is."""
     families = [f for f in TITLES if any(a.case.family == f for a in answers)]
     lines = [f"{len(answers)} campaigns were sat" + (" (a trial: seeds that were looked at)" if trial else "") + "."]
-    if older := sum(a.code != code for a in answers):
+    if older := sum(a.code != code(a.case.family) for a in answers):
         lines[0] += f" {older} of the answers were given by an earlier state of the code."
     if len(families) > 1:
         lines += ["", "### All families", "", *_table(answers)]

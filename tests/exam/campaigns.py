@@ -35,7 +35,7 @@ from unittest import mock
 if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from truth import imperfect
+from truth.imperfect import bench
 from truth.imperfect.bench import Answer
 from truth.imperfect.families import FAMILIES, draw
 
@@ -48,7 +48,7 @@ from smfe.commands import diagnose as command
 SEEDS = {"null": 1_000, "effect": 20_000, "unknown": 40_000, "two": 60_000, "outside": 80_000, "sizes": 90_000}
 """First seed of each part of a trial exam, whose failures are looked at and repaired."""
 
-FRESH = 8_000_000
+FRESH = 9_000_000
 """What is added for the exam that counts: seeds that nothing was tuned on."""
 
 KEPT = Path("tests/exam/answers/campaigns.jsonl")
@@ -65,6 +65,17 @@ LADDER = {
 
 SIZES = (0.25, 0.5, 0.75, 1.5, 2.0)
 
+_IN_MOTION = ("process/friction", "process/simulation", "process/harmonic_balance")
+_MACHINES = ("diagnosis/machine", "diagnosis/evidence")
+NEVER_RUN: dict[str, tuple[str, ...]] = {
+    "cutting": ("diagnosis/drive", "diagnosis/frf", "process/machine", "stability/methods", *_MACHINES, *_IN_MOTION),
+    "drive": ("diagnosis/cutting", "diagnosis/frf", "process/cut", "stability/methods", *_MACHINES, *_IN_MOTION),
+    "limits": ("diagnosis/drive", "diagnosis/frf", *_MACHINES, *_IN_MOTION),
+    "modal": ("diagnosis/cutting", "diagnosis/drive", *_MACHINES),
+    "axis": ("diagnosis/cutting", "diagnosis/drive", *_MACHINES),
+}
+"""Folders of which a diagnosis of a family runs no function: what changes there leaves its answers as they are."""
+
 AGAIN = 0.2
 """CPU seconds after which who has not given up is told so again."""
 
@@ -75,7 +86,8 @@ class OutOfPatienceError(BaseException):
 
 def examine(case: Case, patience: float) -> Said:
     """Write the campaign, have it diagnosed from its file, and keep what was said."""
-    return asked(case, lambda folder: draw(case.family, case.seed, case.what, folder, case.size), patience, code())
+    state = code(case.family)
+    return asked(case, lambda folder: draw(case.family, case.seed, case.what, folder, case.size), patience, state)
 
 
 def asked(case: Case, write: Callable[[Path], Answer], patience: float, state: str) -> Said:
@@ -129,18 +141,24 @@ def _said(case, hidden, ids, verdict, error, seconds, found) -> Said:
 
 
 @cache
-def code(generator: Path = Path(imperfect.__file__).parent, names: str = "*.py") -> str:
-    """Return what tells this state of diagnosis and generator, files of such names in a folder, from any other.
+def code(family: str, generator: tuple[Path, ...] = ()) -> str:
+    """Return what tells this state of a family's diagnosis and generator (default: its own) from any other.
 
     A hash of what they and the physics below them do: words of comments and docstrings are none of it.
     """
     found = hashlib.sha256()
-    root = Path(smfe.__file__).parents[1]
-    places = [(root / package, "*.py") for package in ("process", "stability", "smfe/diagnosis")]
-    for place, these in (*places, (generator, names)):
-        for path in sorted(place.rglob(these)):
-            found.update(f"{place.name}/{path.relative_to(place).as_posix()}\0{meaning(path.read_text())}\0".encode())
+    written = generator or tuple(Path(bench.__file__).with_name(f"{name}.py") for name in ("bench", family))
+    for path in (*diagnosing(family), *written):
+        found.update(f"{path.parent.name}/{path.name}\0{meaning(path.read_text())}\0".encode())
     return found.hexdigest()[:12]
+
+
+def diagnosing(family: str) -> list[Path]:
+    """Return the files of the diagnosis of a family and of the physics below it."""
+    root = Path(smfe.__file__).parents[1]
+    every = [p for place in ("process", "stability", "smfe/diagnosis") for p in sorted((root / place).rglob("*.py"))]
+    never = [root / ("smfe" if n.startswith("diagnosis") else "") / n for n in NEVER_RUN.get(family, ())]
+    return [p for p in every if not set(never) & set(p.parents)]
 
 
 def meaning(source: str) -> str:
@@ -238,10 +256,11 @@ def sit(
     return answers
 
 
-def forget_stale(kept: Path, state: str) -> None:
-    """Forget the answers of any other state of the code."""
+def forget_stale(kept: Path, state: Callable[[str], str]) -> None:
+    """Forget the answers of any other state of the code of their family."""
     if kept.exists():
-        lines = [line for line in kept.read_text().splitlines() if Said.read(line).code == state]
+        answers = [(line, Said.read(line)) for line in kept.read_text().splitlines()]
+        lines = [line for line, answer in answers if answer.code == state(answer.case.family)]
         kept.write_text("".join(f"{line}\n" for line in lines))
 
 
@@ -312,13 +331,13 @@ def main() -> None:
     if given.afresh:
         kept.unlink(missing_ok=True)
     elif given.stale:
-        forget_stale(kept, code())
+        forget_stale(kept, code)
     parts, end = given.parts.split(","), time.monotonic() + 60.0 * given.minutes
     each = [cases(f, given.nulls, given.seeds, not given.trial, given.sizes) for f in given.families.split(",")]
     mixed = [c for _, c in sorted(((i / len(own), c) for own in each for i, c in enumerate(own)), key=lambda x: x[0])]
     every = [case for case in mixed if case.part in parts]
     answers = sit(every, kept, given.jobs, given.patience, lambda: time.monotonic() > end)
-    given.out.write_text(page(answers, given.trial, code()), encoding="utf-8")
+    given.out.write_text(page(answers, given.trial, code), encoding="utf-8")
 
 
 if __name__ == "__main__":

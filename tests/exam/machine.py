@@ -54,9 +54,9 @@ def written(case: Case, folder: Path) -> Answer:
     return Answer("machine", case.seed, made.sizes, {name: (name,) for name in effects}, made.cost, made.truths)
 
 
-def state() -> str:
+def state(family: str = "machine") -> str:
     """Return what tells this state of diagnosis and portal from any other."""
-    return code(Path(three_axes.__file__).parent, "three_axes*.py")
+    return code(family, tuple(sorted(Path(three_axes.__file__).parent.glob("three_axes*.py"))))
 
 
 def main() -> None:
@@ -74,7 +74,7 @@ def main() -> None:
     parser.add_argument("--stale", action="store_true", help="forget the answers of an earlier state of the code")
     given = parser.parse_args()
     if given.stale:
-        forget_stale(KEPT, state())
+        forget_stale(KEPT, state)
     only, end = given.only.split(","), time.monotonic() + 60.0 * given.minutes
     every = [
         c for c in cases(given.healthy, given.seeds, given.pairs, not given.trial) if not given.only or c.what in only
@@ -87,7 +87,7 @@ def tables(answers: list[Said]) -> str:
     """Return the page: the exam that counts, and apart from it the trial."""
     counts = [a for a in answers if a.case.seed >= FRESH]
     trial = [a for a in answers if a.case.seed < FRESH]
-    return "\n".join(page(some, some is trial, state()) for some in (counts, trial) if some)
+    return "\n".join(page(some, some is trial, state) for some in (counts, trial) if some)
 
 
 if __name__ == "__main__":

@@ -1,16 +1,18 @@
 """The exam through campaign files must be able to fail, and reads nothing but the file."""
 
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
+from types import FrameType, SimpleNamespace
 
 import pytest
 from truth.imperfect.bench import Answer
 from truth.imperfect.families import FAMILIES
 
+import smfe
 from exam.campaign_scores import Case, Said, page, scores
-from exam.campaigns import OutOfPatienceError, cases, code, examine, meaning, patient, sit
+from exam.campaigns import OutOfPatienceError, cases, code, diagnosing, examine, meaning, patient, sit
 from exam.campaigns import _said as kept_of
 from exam.subjects import Without
 from smfe.diagnosis.inference.problem import Cause, Parameter
@@ -94,9 +96,9 @@ def test_the_page_has_a_row_for_every_effect_of_every_family() -> None:
 
 def test_the_page_says_how_many_answers_an_earlier_state_of_the_code_gave() -> None:
     every = [replace(truthful(c), code="new") for c in cases("cutting", 3, 1, fresh=False)]
-    assert "earlier" not in page(every, code="new")
+    assert "earlier" not in page(every, code=lambda family: "new")
     every[:2] = [replace(a, code="old") for a in every[:2]]
-    assert " 2 of the answers were given by an earlier state of the code." in page(every, code="new")
+    assert " 2 of the answers were given by an earlier state of the code." in page(every, code=lambda family: "new")
 
 
 def test_an_answer_is_as_old_as_the_last_change_of_what_the_code_does_whatever_its_words() -> None:
@@ -104,6 +106,29 @@ def test_an_answer_is_as_old_as_the_last_change_of_what_the_code_does_whatever_i
     was = 'def f(x):\n    """Double."""\n    return 2 * x\n'
     assert meaning(was) == meaning('def f(x):\n    # Twice.\n    """Return twice."""\n    return 2 * x\n')
     assert meaning(was) != meaning(was.replace("2", "3"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", [Case("cutting", "coefficients", "effect", 1), Case("drive", "healthy", "null", 1)])
+def test_an_answer_does_not_age_by_code_that_gives_none(case: Case) -> None:
+    """Of the folders that are left out of the state of a family's code no function runs."""
+    ran: set[str] = set()
+
+    def note(frame: FrameType, event: str, argument: object) -> None:
+        name = frame.f_code.co_name
+        if event == "call" and name not in ("<module>", "<lambda>") and not name.startswith("__"):
+            ran.add(frame.f_code.co_filename)
+
+    sys.setprofile(note)
+    try:
+        assert examine(case, 600.0).verdict in ("named", "consistent")
+    finally:
+        sys.setprofile(None)
+    root = Path(smfe.__file__).parents[1]
+    mine = {str(p) for p in diagnosing(case.family)}
+    every = {str(p) for place in ("process", "stability", "smfe/diagnosis") for p in (root / place).rglob("*.py")}
+    assert ran & mine
+    assert sorted(ran & (every - mine)) == []
 
 
 @pytest.mark.slow
@@ -116,7 +141,7 @@ def test_a_campaign_is_written_diagnosed_and_kept(tmp_path: Path) -> None:
     again = sit(every, kept, 1, 100.0)
     assert sorted(again, key=str) == sorted(said, key=str)
     assert len(kept.read_text().splitlines()) == 2
-    assert {a.code for a in again} == {code()}
+    assert {a.code for a in again} == {code("cutting")}
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from exam.machine import EFFECTS, PAIRS, cases, tables
 @pytest.fixture(autouse=True)
 def now(monkeypatch: pytest.MonkeyPatch) -> None:
     """Hashing all of the code takes seconds."""
-    monkeypatch.setattr(machine, "state", lambda: "now")
+    monkeypatch.setattr(machine, "state", lambda family="machine": "now")
 
 
 def said(case: Case, *named: str) -> Said:
@@ -60,7 +60,7 @@ def test_answers_are_kept_and_those_of_an_earlier_code_may_be_asked_again(tmp_pa
     assert not set(asked) & {a.case for a in first}
     old = [json.dumps(asdict(replace(truthful(c), code="old"))) for c in every[:1]]
     kept.write_text("\n".join([*old, *kept.read_text().splitlines()[1:]]) + "\n")
-    forget_stale(kept, "now")
+    forget_stale(kept, lambda family: "now")
     assert len(kept.read_text().splitlines()) == len(every) - 1
 
 
