@@ -9,6 +9,7 @@ eigenvalues bring every state exactly from one step to the next under forces tha
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,8 @@ from smfe.diagnosis.frf.rules import RULES
 
 TIMED = ("hardening", "iwan")
 """Fields of a machine with its joints whose force after a hit of a known duration is simulated in time."""
+
+_BLOCK = 128  # steps that are transformed at once
 
 
 class _Linear(NamedTuple):
@@ -36,8 +39,13 @@ class _Linear(NamedTuple):
     def of(cls, machine: Changed, grid: tuple[float, int]) -> _Linear:
         """Return it on a grid of time: its step [s] and the count of them."""
         modes = len(machine.frequency)
-        w = 2.0 * np.pi * np.array(machine.frequency)
+        w, loss = 2.0 * np.pi * np.array(machine.frequency), np.array(machine.damping)
         shape = np.array(machine.direction).reshape(modes, 3) / np.sqrt(np.array(machine.stiffness))[:, None]
+        if not (machine.mass or machine.gyroscopic or machine.springs) and np.all(loss < 1.0):
+            # Modes that nothing couples are each an oscillator of its own.
+            turning = 1j * w * np.sqrt(1.0 - loss**2)
+            real, alone = np.diag(np.full(modes, 2.0 + 0.0j)), np.diag(0.5 * w**2 / turning)
+            return cls(np.asarray(turning - loss * w), real, alone, shape, *grid)
         inverse = np.diag(w**2)
         if machine.mass:
             inverse = np.linalg.inv(np.diag(w**-2) + machine.mass * (shape @ shape.T))
@@ -67,6 +75,12 @@ class _Linear(NamedTuple):
         return kept, (kept - 1.0) / self.eigenvalue - end, end
 
 
+@lru_cache(maxsize=16)
+def _linear(machine: Changed, grid: tuple[float, int]) -> _Linear:
+    """Return the same of a machine without joints: whatever changes with these alone asks for it once."""
+    return _Linear.of(machine, grid)
+
+
 def _grid(machine: Changed, duration: float) -> tuple[float, int]:
     """Return step [s] and count of steps of a hit, alike for machines that differ a little: predictions are smooth."""
     mine = np.flatnonzero(np.abs(_vector(machine)) > 0.0)
@@ -85,15 +99,13 @@ def _vector(machine: Changed) -> Real:
     return np.array(getattr(machine, name)[2 if name == "iwan" else 1 :])
 
 
-def _law(machine: Changed, reference: float) -> tuple[float, Real, Real]:
-    """Return cubic stiffness, stiffnesses of elements and the force that each holds, in scaled coordinates."""
+def _law(machine: Changed, reference: float) -> tuple[float, int, float, float]:
+    """Return cubic stiffness, count and stiffness of elements and by how much their travels differ, scaled."""
     if machine.hardening:
         # The mean stiffness of a sine of amplitude a is 3/4 of the cubic one times a^2.
-        return machine.hardening[0] / 0.75 / reference**2, np.zeros(0), np.zeros(0)
+        return machine.hardening[0] / 0.75 / reference**2, 0, 0.0, 1.0
     share, travel = machine.iwan[:2]
-    count = RULES.hit_elements
-    stiffness = np.full(count, share / count)
-    return 0.0, stiffness, stiffness * travel * reference * (np.arange(count) + 0.5) / count
+    return 0.0, RULES.hit_elements, share / RULES.hit_elements, travel * reference / RULES.hit_elements
 
 
 def force_in_hits(
@@ -108,46 +120,61 @@ def force_in_hits(
     Half sines of the impulse and duration of the hits; the spectrum of what is left at the end is that of a force that
     stays. The grid of time is that of a machine `like` this one, if given: differences between the two are smooth.
     """
-    linear = _Linear.of(machine, _grid(machine if like is None else like, shaken.duration))
+    alone = machine._replace(slip=(), hardening=(), iwan=(), mode=(), residual=())
+    linear = _linear(alone, _grid(machine if like is None else like, shaken.duration))
     kept, begin, end = linear.held()
-    vector, pulse = _vector(machine), _pulse(linear, shaken.duration)
+    vector, pulse = _vector(machine), _pulse(linear.step, linear.steps, shaken.duration)
     impulses = [shaken.impulses[e] if shaken.impulses else shaken.level for e in axes]
     read = vector @ linear.out
     joint = linear.into @ vector
-    cubic, stiffness, most = _law(machine, shaken.reference)
-    rows = np.zeros((len(axes) + 1, linear.steps + 1))
-    rows[-1] = pulse
-    for row, e, impulse in zip(rows, axes, impulses, strict=False):
+    law = _law(machine, shaken.reference)
+    rows = np.zeros((len(axes), linear.steps + 1))
+    for row, e, impulse in zip(rows, axes, impulses, strict=True):
         push = impulse * (linear.into @ linear.shape[:, e])
-        march(kept, begin * push, end * push, begin * joint, end * joint, read, pulse, cubic, stiffness, most, row)
-    *forces, hit = _transformed(rows, frequency, linear.step)
+        march(kept, begin * push, end * push, begin * joint, end * joint, read, pulse, *law, row)
+    lines = tuple(frequency.tolist())
+    hit = _hit(lines, linear.step, linear.steps, shaken.duration)
     seen = np.abs(hit) > RULES.excited
     whole = np.where(seen, hit, 1.0)
+    forces = _transformed(rows, lines, linear.step)
     return np.stack([np.where(seen, f / (x * whole), 0.0) for f, x in zip(forces, impulses, strict=True)], axis=1)
 
 
-def _pulse(linear: _Linear, duration: float) -> Real:
+@lru_cache(maxsize=64)
+def _pulse(step: float, steps: int, duration: float) -> Real:
     """Return the force of a hit of 1 N s at all steps [N]: a half sine, no shorter than a few steps."""
-    duration = max(duration, RULES.least_pulse * linear.step)
-    time = linear.step * np.arange(linear.steps + 1)
+    duration = max(duration, RULES.least_pulse * step)
+    time = step * np.arange(steps + 1)
     shape = np.where(time < duration, np.sin(np.pi * time / duration), 0.0)
-    return np.asarray(shape / (shape.sum() * linear.step))
+    return np.asarray(shape / (shape.sum() * step))
 
 
-def _transformed(rows: Real, frequency: Real, step: float) -> list[Complex]:
+@lru_cache(maxsize=64)
+def _hit(frequency: tuple[float, ...], step: float, steps: int, duration: float) -> Complex:
+    """Return the Fourier transform of the force of a hit of 1 N s."""
+    steps = min(math.ceil(max(duration / step, RULES.least_pulse)) + 1, steps)
+    return np.asarray(_transformed(_pulse(step, steps, duration)[None], frequency, step)[0])
+
+
+def _transformed(rows: Real, frequency: tuple[float, ...], step: float) -> Complex:
     """Return the Fourier transforms of rows that run straight between steps, begin at zero and stay where they end.
 
     That of their slopes over ``j w``, in blocks: the phases of all blocks, and within one of them.
     """
     change = np.diff(rows, axis=1)
-    block = max(math.isqrt(change.shape[1]), 1)
-    count = -(-change.shape[1] // block)
-    padded = np.zeros((len(rows), count * block))
+    count = -(-change.shape[1] // _BLOCK)
+    padded = np.zeros((len(rows), count * _BLOCK))
     padded[:, : change.shape[1]] = change
-    w = 2.0 * np.pi * frequency
-    within = np.exp(-1j * step * np.outer(np.arange(block) + 0.5, w))
-    whole = np.exp(-1j * step * np.outer(block * np.arange(count), w))
-    scale = np.sinc(frequency * step) / (1j * w)
-    parts = padded.reshape(-1, block) @ within
-    found = np.einsum("kbf,bf->kf", parts.reshape(len(rows), count, frequency.size), whole)
-    return list(found * scale)
+    within = _phases(frequency, step, _BLOCK, 0.5).view(np.float64)
+    # Grids differ in length from machine to machine: what is kept are the phases of the next power of two.
+    whole = _phases(frequency, _BLOCK * step, 2 ** math.ceil(math.log2(count)), 0.0)[:count]
+    parts = (padded.reshape(-1, _BLOCK) @ within).view(complex)
+    found = np.einsum("kbf,bf->kf", parts.reshape(len(rows), count, -1), whole)
+    f = np.array(frequency)
+    return np.asarray(found * np.sinc(f * step) / (2j * np.pi * f))
+
+
+@lru_cache(maxsize=32)
+def _phases(frequency: tuple[float, ...], step: float, count: int, first: float) -> Complex:
+    """Return ``exp(-j w t)`` at so many steps from a first on, (count, f)."""
+    return np.asarray(np.exp(-2j * np.pi * step * np.outer(np.arange(count) + first, np.array(frequency))))

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from process.types import Real
 from smfe.diagnosis.inference.fit import Fit, Target, bounded_step, refit, residuals, stacked
-from smfe.diagnosis.inference.misfit import Group, Misfit, assess, decomposed
+from smfe.diagnosis.inference.misfit import Group, Misfit, assess, decomposed, triangle
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.inference.rules import RULES
@@ -301,7 +301,9 @@ def _root(jacobian: Real) -> tuple[Real, NDArray[np.bool_]]:
     """Return a root of the covariance of fitted parameters, and which of its columns the data know."""
     size = np.linalg.norm(jacobian, axis=0)
     size[size == 0.0] = 1.0
-    _, singular, right = decomposed(jacobian / size)
+    unit = jacobian / size
+    upper = triangle(unit)
+    _, singular, right = decomposed(unit if upper is None else upper)
     unknown = singular < RULES.unknown * max(float(singular.max(initial=0.0)), 1e-300)
     return right.T / np.where(unknown, RULES.unknown, singular) / size[:, None], ~unknown
 

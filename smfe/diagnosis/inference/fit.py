@@ -18,6 +18,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares, lsq_linear
 
 from process.types import Real
+from smfe.diagnosis.inference.misfit import triangle
 from smfe.diagnosis.inference.model import Index, Model
 from smfe.diagnosis.inference.rules import RULES
 
@@ -102,20 +103,9 @@ def bounded_step(slope: Real, residual: Real, low: Real, high: Real) -> tuple[Re
 
 
 def _triangle(slope: Real, residual: Real) -> tuple[Real, Real]:
-    """Return R of ``slope = Q R``, and ``-Q^T residual``.
-
-    Of many values by the products of the columns, in a sixth of the time, where these are far from dependent: what that
-    costs is the square of their condition times rounding.
-    """
-    if slope.shape[0] >= RULES.many:
-        square = slope.T @ slope
-        size = np.sqrt(np.maximum(np.diag(square), 1e-300))
-        try:
-            lower = np.linalg.cholesky(square / np.outer(size, size))
-        except np.linalg.LinAlgError:
-            lower = np.zeros((1, 1))
-        if np.diag(lower).min() > RULES.independent:
-            return lower.T * size, -solve_triangular(lower, (slope.T @ residual) / size, lower=True)
+    """Return R of ``slope = Q R``, and ``-Q^T residual``."""
+    if (upper := triangle(slope)) is not None:
+        return upper, -solve_triangular(upper, slope.T @ residual, trans="T")
     # Of Q only its product with the residual is needed: that of a further column.
     whole = np.asarray(np.linalg.qr(np.column_stack([slope, residual]), mode="r"))
     count = min(slope.shape)

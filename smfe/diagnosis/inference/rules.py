@@ -39,8 +39,8 @@ class InferenceRules:
     last_cycles: int = 3  # the same after it: it brings a fit near its end, plain steps then end it
     steps: int = 12  # steps with one set of slopes
     fractions: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
-    many: int = 4000  # values from which a step is found by the products of the slopes
-    independent: float = 1e-4  # share of a slope that those before it must leave for that
+    many: int = 1000  # values from which columns of them are made independent by their products
+    independent: float = 1e-4  # share of a column that those before it must leave for that
     equivalent: float = 2.0  # chi-square that equivalent parameters may fit worse
     # signatures
     silent: float = 1e-7  # norm of a slope, or its share of the largest of a cause, that counts as nothing

@@ -14,10 +14,11 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from process.types import Real
 from smfe.diagnosis.inference.fit import Fit, Target, stacked
-from smfe.diagnosis.inference.misfit import decomposed
+from smfe.diagnosis.inference.misfit import decomposed, triangle
 from smfe.diagnosis.inference.model import Index, Model
 from smfe.diagnosis.inference.rules import RULES
 
@@ -58,6 +59,8 @@ def orthonormal(columns: Real) -> Real:
     unit = columns[:, size > 0.0] / size[size > 0.0]
     if unit.shape[1] == 0:
         return np.zeros((columns.shape[0], 0))
+    if (upper := triangle(unit)) is not None:
+        return np.asarray(solve_triangular(upper, unit.T, trans="T").T)
     left, singular, _ = decomposed(unit)
     return np.asarray(left[:, singular > 1e-7 * singular[0]])
 
@@ -184,8 +187,14 @@ def _shapes(model: Model, fit: Fit, k: int, silent: Index) -> list[Real]:
 
 
 def _secants(model: Model, target: Target, fit: Fit, k: int, basis: Real) -> list[Signature]:
-    """Signatures of a cause without slope at its null, such as the square of a parameter: from a step of one scale."""
+    """Signatures of a cause without slope at its null, such as the square of a parameter: from a step of one scale.
+
+    Where all its parameters together change nothing, as those of a spindle that never turned, one stands for all.
+    """
     rows, mine = list(target.observed), model.of_cause[k]
+    if mine.size > 1 and _nothing(model, fit, rows, mine):
+        none = {r: np.zeros((y.size, mine.size)) for r, y in target.observed.items()}
+        return [_signature(model, target, k, mine, fit.u, none, np.ones(mine.size, dtype=bool), basis)]
     found = []
     for j, sign in product(mine, (1.0, -1.0)):
         at = fit.u.copy()
@@ -201,15 +210,27 @@ def _secants(model: Model, target: Target, fit: Fit, k: int, basis: Real) -> lis
     return found
 
 
+def _nothing(model: Model, fit: Fit, rows: Sequence[int], mine: Index) -> bool:
+    """Whether steps of some parameters together, either way, leave every prediction exactly as it is."""
+    for sign in (1.0, -1.0):
+        at = fit.u.copy()
+        at[mine] = np.clip(at[mine] + sign, model.low[mine], model.high[mine])
+        for r in rows:
+            before, after = model.predict(r, fit.u), model.predict(r, at)
+            if before is None or after is None or not np.array_equal(before, after):
+                return False
+    return True
+
+
 def cosines(model: Model, at: Tangent) -> Real:
     """Return the cosine of the largest angle between the signatures of any two causes, the nearest of their shapes."""
     found = np.zeros((len(model.causes), len(model.causes)))
     bases = [(s.cause, orthonormal(s.columns)) for s in at.signatures]
-    for i, a in bases:
-        for j, b in bases:
+    for n, (i, a) in enumerate(bases):
+        for j, b in bases[n:]:
             if a.shape[1] == b.shape[1] > 0:
                 smallest = float(decomposed(a.T @ b)[1].min())
-                found[i, j] = max(found[i, j], min(smallest, 1.0))
+                found[i, j] = found[j, i] = max(found[i, j], min(smallest, 1.0))
     return found
 
 

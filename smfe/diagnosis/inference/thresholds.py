@@ -113,9 +113,13 @@ def products_of_noise(
         return []
     every = np.concatenate(columns, axis=1)
     size = np.linalg.norm(every, axis=0)  # an exchange of axes is a million times as large as others
-    covariances = covariances_of_noise(model, at.fit.residual, every / np.where(size > 0.0, size, 1.0))
+    some = size > 0.0
+    covariances = covariances_of_noise(model, at.fit.residual, every[:, some] / size[some])
     share = math.ceil(draws / len(covariances))
-    noise = np.concatenate([rng.standard_normal((share, size.size)) @ _root(c).T for c in covariances]) * size
+    noise = np.zeros((share * len(covariances), size.size))
+    for n, covariance in enumerate(covariances):
+        root = size[some, None] * _root(covariance)
+        noise[n * share : (n + 1) * share, some] = rng.standard_normal((share, len(root))) @ root.T
     return np.split(noise, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
 
 

@@ -28,6 +28,7 @@ from truth.modal_machine import (
 from process.errors import InputError
 from process.machine.modes import ModalModel
 from smfe.diagnosis.cases.experiments import PROPOSALS, proposed_modal_experiments
+from smfe.diagnosis.frf._joint_kernels import _held
 from smfe.diagnosis.frf.causes import vector
 from smfe.diagnosis.frf.changed import Changed, Shaken
 from smfe.diagnosis.frf.modal_dynamics import DECAYING, _spent, full_compliance, unchanged
@@ -524,6 +525,22 @@ class TestConfounded:
             assert bench.null().chi2 - at.chi2 - RULES.penalty * 6 < 60.0
             gains.append(0.0 if gain is None else gain.db)
         assert np.median(gains) <= 0.3
+
+
+def test_elements_of_a_joint_remember_the_reversals_of_its_motion():
+    """Force by the reversals alone, of any motion, as of elements that stick and slip each by itself."""
+    count, stiffness, travel = 40, 0.02, 0.05
+    most = stiffness * travel * (np.arange(count) + 0.5)
+    rng = np.random.default_rng(4)
+    motion = np.cumsum(rng.standard_normal(3000)) * 0.15 * np.exp(-np.arange(3000) / 900.0)
+    turned, there, held = np.zeros(3001), np.zeros(3001), np.zeros(count)
+    before, force, depth = 0.0, 0.0, 0
+    for now in motion:
+        held = np.clip(held + stiffness * (now - before), -most, most)
+        force, depth = _held(now, before, force, depth, turned, there, count, stiffness, travel)
+        assert force == pytest.approx(held.sum(), abs=1e-12)
+        before = now
+    assert depth > 2
 
 
 def test_a_joint_at_rest_has_lost_nothing_and_one_that_slides_loses_all():

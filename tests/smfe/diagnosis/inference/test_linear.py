@@ -577,6 +577,31 @@ def test_a_tangent_with_one_condition_more_is_that_of_all_of_them():
         assert one.columns == pytest.approx(other.columns, abs=1e-9)
 
 
+def test_what_never_acts_is_linearised_once_however_many_parameters_it_has():
+    """A spindle that never turned has hundreds of springs: a column of every value for each held gigabytes."""
+    still = Cause("still", "a spindle that stands", tuple(Parameter(f"still.{n}", "1", 0.0, 1.0) for n in range(50)))
+    effects = FAMILY.effects | {p.name: lambda s: 0.0 * BASIS[0] for p in still.parameters}
+    family = measured(replace(FAMILY, causes=(*FAMILY.causes, still), effects=effects), {}, 3)
+    model = Model(family, family.conditions)
+    target = Target({r: c.observed for r, c in enumerate(family.conditions)}, model.null())
+    (one,) = tangent(model, target, fit(model, target, (), model.null()), [len(FAMILY.causes)]).signatures
+    assert one.free.size == 50
+    assert not np.any(one.columns)
+
+
+def test_the_misfit_is_that_of_the_whole_covariance():
+    """Squares over ``I +- L L^T`` by its eigenvalues alone, with more rows than columns and with fewer."""
+    rng = np.random.default_rng(1)
+    for rows, columns in ((60, 9), (8, 30)):
+        load = rng.standard_normal((rows, columns))
+        load *= 0.9 / np.linalg.norm(load, 2)
+        r = rng.standard_normal(rows)
+        for sign, shrinks in ((-1.0, True), (1.0, False)):
+            whole = np.eye(rows) + sign * load @ load.T
+            found = assess([({0: r}, {0: load})], shrinks)
+            assert found.chi2 == pytest.approx(r @ np.linalg.solve(whole, r), rel=1e-9)
+
+
 def test_of_many_proposals_the_one_that_shows_what_is_hidden_is_found():
     fast = replace(FAMILY, conditions=grid((6.0, 7.0)), causes=(FRICTION, GAIN))
     feeds = (8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 0.5, 14.0)
