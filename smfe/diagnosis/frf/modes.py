@@ -206,7 +206,18 @@ class ModalFrfs(Abilities):
         aside = {r: self.tolerances.mode_direction if inside[r - 1] else BEYOND for r in numbers}
         every = modal_causes(numbers, band, size, self._reach, len(self._places), aside)
         gone = (*self.without, *(() if self.fitted is None else OF_DECLARED))
-        return tuple(c for c in every if c.key not in gone and c.id not in gone)
+        return tuple(self._unsettling(c) for c in every if c.key not in gone and c.id not in gone)
+
+    def _unsettling(self, cause: Cause) -> Cause:
+        """Return a cause with what it makes of fitted modes: hits on a joint that gives way show others than it has.
+
+        Its stiffness changes as a hit dies away, so that one peak is fitted by several modes, softer than at rest; one
+        with the joint has one of them for all, and the others stiffer by factors.
+        """
+        if self.fitted is None or cause.id not in JOINTS:
+            return cause
+        fitted = ("frequency", "damping", "stiffness", "turn_a", "turn_b")
+        return replace(cause, unsettles=frozenset(name for what in fitted for name in self._names[what]))
 
     @cached_property
     def _every(self) -> tuple[Condition, ...]:

@@ -77,6 +77,9 @@ class Cause:
     known: Values = field(default_factory=dict)
     """Standard deviation with which anybody knows each of its parameters (SI); none: zero until shown not to be."""
 
+    unsettles: frozenset[str] = frozenset()
+    """Nuisances that are not what they were known to be where this cause acts: it was there when they were found."""
+
     beyond: Callable[[Mapping[str, float]], str] | None = field(default=None, compare=False)
     """From values to the parameter that is where this cause cannot be, in words; "" for none. As an end of its bounds:
     a fit may pass there, and what ends there is refused."""

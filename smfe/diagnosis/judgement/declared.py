@@ -75,10 +75,12 @@ class Declared:
         variance = _variance(model, target, slope[:values], residual[:values], weight)
         data = slope[:values].T @ (slope[:values] / variance[:, None])
         groups: dict[str, list[int]] = {}
+        unsettled = frozenset().union(*(model.causes[k].unsettles for k in at.causes))
         for place, j in enumerate(at.free):
             given = "" if model.parameters[j].nameless else model.parameters[j].given
-            # What only shapes an effect that is known is trusted of nobody.
-            counts = named or (j in model.nuisance and not model.parameters[j].secondary)
+            # What only shapes an effect that is known is trusted of nobody, nor what was found with a cause at work.
+            shapes = model.parameters[j].secondary or model.names[j] in unsettled
+            counts = named or (j in model.nuisance and not shapes)
             if bool(given) == named and weight[place] > 0.0 and counts:
                 groups.setdefault(given, []).append(place)
         centred = (at.u - target.centre)[at.free]

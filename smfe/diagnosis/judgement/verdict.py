@@ -120,7 +120,7 @@ def _judged(
     left = bench.misfit(at) if apart is None else apart.misfit
     how = "" if chosen else "; held out were blocks of values, as no condition can be left out"
     model = bench.model
-    known = tuple(k for k in at.causes if _as_known(bench, at, k))
+    known = tuple(k for k in at.causes if bench.as_known(at, k))
     small = tuple(k for k in at.causes if k in known or cause_size(bench, at, k, worth) < worth.material)
     named = [k for k in at.causes if k not in small]
     best = bench.words(named or at.causes)
@@ -149,23 +149,6 @@ def _judged(
         reason=f"{best}{rest or ' and nothing else of the catalogue'}{how}",
         carriers=tuple(carriers(left)) if matters else (),
     )
-
-
-def _as_known(bench: Bench, at: Fit, k: int) -> bool:
-    """Whether a cause is no more than what anybody knows of it: directions of modes, to a degree or two.
-
-    Its parameters p with the covariance C of the fit are zero to within s: ``p^T (C + s^2)^-1 p`` is a chi-square.
-    """
-    model, known = bench.model, bench.model.causes[k].known
-    if not known:
-        return False
-    own = np.isin(at.free, model.of_cause[k])
-    slope, _ = stacked(model, bench.target, at.free, at.u, at.residual, at.slope)
-    spread = np.linalg.pinv(slope.T @ slope, hermitian=True)[np.ix_(own, own)]
-    off, scale = at.u[at.free][own], model.scale[at.free][own]
-    trusted = np.array([known[model.names[j]] for j in at.free[own]]) / scale
-    pull = float(off @ np.linalg.solve(spread + np.diag(trusted**2), off))
-    return pull <= float(stats.chi2.isf(RULES.contradicted, off.size))
 
 
 def _percent(share: float) -> str:

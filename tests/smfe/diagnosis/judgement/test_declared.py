@@ -186,6 +186,31 @@ def test_a_cause_that_changes_less_than_what_has_no_name_and_is_strained_is_not_
     assert ids(diagnose(measured(truth | {"ripple": 90.0}, nuisances=nameless), worth=WORTH)) == {"ripple": None}
 
 
+def test_a_cause_is_not_held_against_what_was_found_with_it_at_work():
+    """Modes fitted to hits on a loose joint are not those of the machine; what else has no name counts as before."""
+    nameless, truth = (declared("coefficients", ""), declared("gain", "", 0.01)), {"coefficients": 0.45, "ripple": 12.0}
+    family = measured(truth, nuisances=nameless)
+    for unsettled, verdict in (({"coefficients", "gain"}, "named"), ({"gain"}, "unknown")):
+        causes = tuple(replace(c, unsettles=frozenset(unsettled)) for c in family.causes)
+        assert diagnose(replace(family, causes=causes), worth=WORTH).verdict == verdict
+
+
+@dataclass(frozen=True)
+class Once(Scaled):
+    """A ripple at one speed alone, which no other condition can prove."""
+
+    def predict(self, condition, values):
+        here = condition.settings["speed"] == 0.0
+        return super().predict(condition, values if here else {**values, "ripple": 0.0})
+
+
+@pytest.mark.parametrize(("known", "verdict"), [({}, "insufficient_data"), ({"ripple": 50.0}, "consistent")])
+def test_what_everybody_knows_to_be_a_little_off_needs_no_proof_and_is_no_fault(known, verdict):
+    family = measured({"ripple": 40.0}, kind=Once)
+    causes = tuple(replace(c, known=known) for c in family.causes)
+    assert diagnose(replace(family, causes=causes), worth=WORTH).verdict == verdict
+
+
 @dataclass(frozen=True)
 class Edged(Scaled):
     """With forces of the edge, the same at all speeds."""
