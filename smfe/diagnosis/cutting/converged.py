@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy import linalg
 
 from process.cut.engagement import AnyEngagement
 from process.cut.force import CuttingCoefficients, ProcessDamping, force_projection
@@ -67,6 +68,11 @@ class PeriodicCut:
         return dense(self.system)
 
     @cached_property
+    def vibrations(self) -> dict[Crossing, Complex]:
+        """Chips x of the crossings that Newton's method came to."""
+        return {}
+
+    @cached_property
     def period(self) -> float:
         """Time after which the cut repeats [s]."""
         return self.mesh.pattern.duration(self.spindle_speed)
@@ -74,11 +80,12 @@ class PeriodicCut:
     def crossings(self, deepest: float, near: Sequence[Crossing] = ()) -> list[Crossing]:
         """Return the crossings down to a depth [m], the shallowest first; where there is none, the shallowest.
 
-        Those of a cut that is nearly this one are followed by Newton's method. Where the map over one period is
-        unstable below the first, each change of sign over a coarse grid of angles is closed in on likewise, and where
-        that finds no first one either the grid is refined until it is safe.
+        Those of a cut that is nearly this one are followed by Newton's method, but for the much deeper ones. Where the
+        map over one period is unstable below the first, each change of sign over a coarse grid of angles is closed in
+        on likewise, and where that finds no first one either the grid is refined until it is safe.
         """
-        followed = [at for c in near if (at := self._settled(c.angle, 1.0 / c.depth)) is not None]
+        shallow = [c for c in near if c.depth <= RULES.deepest_followed * near[0].depth]
+        followed = [at for c in shallow if (at := self._settled(c.angle, 1.0 / c.depth)) is not None]
         if self._first(found := _apart(followed, math.inf)):
             return found
         curve = self.dense.crossing_values
@@ -119,24 +126,28 @@ class PeriodicCut:
         """Return the crossing that Newton's method comes to from an angle and an eigenvalue [1/m]."""
         fixed = angle in (0.0, math.pi)
         vector = self._inverse_iteration(self.dense.crossing(np.array([angle]))[0], value)
-        end, value, _, settled = kernels.approach_crossing(self.dense.period, angle, complex(value), vector, fixed)
-        inside = fixed or 0.0 < end < math.pi
-        return Crossing(float(end), 1.0 / value.real) if settled and inside else None
+        end, value, chips, settled = kernels.approach_crossing(self.dense.period, angle, complex(value), vector, fixed)
+        if not settled or not (fixed or 0.0 < end < math.pi):
+            return None
+        at = Crossing(float(end), 1.0 / value.real)
+        self.vibrations[at] = chips
+        return at
 
     @staticmethod
     def _inverse_iteration(matrix: Complex, value: complex, times: int = 2) -> Complex:
         """Return the vector of the eigenvalue of a matrix that is nearest to a value."""
         shifted = matrix.copy()
         shifted[range(matrix.shape[0]), range(matrix.shape[0])] -= value * (1.0 + 1e-10)
-        inverse, vector = np.linalg.inv(shifted), np.exp(1j * np.arange(matrix.shape[0]) ** 2)
+        factors, vector = linalg.lu_factor(shifted, check_finite=False), np.exp(1j * np.arange(matrix.shape[0]) ** 2)
         for _ in range(times):
-            vector = inverse @ vector
+            vector = linalg.lu_solve(factors, vector, check_finite=False)
             vector /= np.linalg.norm(vector)
         return np.ascontiguousarray(vector)
 
     def chips(self, at: Crossing) -> Complex:
         """Return x at a crossing, shape (m,)."""
-        return self.dense.chips(at.angle, at.depth)
+        known = self.vibrations.get(at)
+        return self.dense.chips(at.angle, at.depth) if known is None else known
 
     def left(self, at: Crossing) -> Complex:
         """Return y at a crossing, shape (m,)."""

@@ -497,7 +497,8 @@ def _with_mode(model: ModalModel, values: Values) -> ModalModel:
 
 
 def _catalogue(machine: ModalModel, flank: float) -> tuple[Cause, ...]:
-    modes = range(1, machine.frequency.size + 1)
+    count = machine.frequency.size
+    modes = range(1, count + 1)
     both = machine.direction[:, :2].any(axis=0).all()
 
     def each(
@@ -507,16 +508,17 @@ def _catalogue(machine: ModalModel, flank: float) -> tuple[Cause, ...]:
 
     damping = Parameter("process_damping", "N/mm", 0.0, flank, 0.0, 1e4 * flank, shown=1e-3)
     turning = "modes that change with the speed of the spindle"
+    # Where another lobe comes to govern a limit has a kink, where an island of instability opens below it a jump: no
+    # slope leads from there to an effect of some size.
+    soft, stiff = ((sign * RULES.softened,) * count for sign in (-1.0, 1.0))
     found = [
         Cause("process_damping", "damping by the worn flank", (damping,), starts=((5.0 * flank,),)),
-        Cause("spindle_speed_dynamics", turning, each("linear", "%", 0.01, -0.5, 0.5), "linear"),
-        Cause("spindle_speed_dynamics", turning, each("square", "%", 0.01, -0.5, 0.5), "square"),
+        Cause("spindle_speed_dynamics", turning, each("linear", "%", 0.01, -0.5, 0.5), "linear", starts=(soft, stiff)),
+        Cause("spindle_speed_dynamics", turning, each("square", "%", 0.01, -0.5, 0.5), "square", starts=(soft, stiff)),
         Cause("joint_micro_slip", "micro-slip in a joint", each("micro_slip", "%", 0.02, 0.0, 0.8)),
     ]
     if both:
         turn = each("coupling", "deg", 0.03, -0.8, 0.8, 180.0 / math.pi)
-        # Where another lobe comes to govern a limit has a kink: no slope leads from there to a turn of some size.
-        count = machine.frequency.size
         starts = tuple(
             tuple(sign * RULES.turned * (r == turned) for r in range(count))
             for turned in range(count)

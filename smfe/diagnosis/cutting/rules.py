@@ -72,12 +72,16 @@ class CuttingRules:
     same_line: float = 0.6  # distance of lines that are one, in lines that a record resolves
     not_observed: float = 3.0  # of these together, beyond which a crossing is not the one observed
     deepest_observed: float = 2.0  # depth over that of a limit, down to which its crossings are looked for
+    deepest_followed: float = 1.5
+    """Depth over that of the first of a baseline, down to which its crossings are followed: one beyond the first
+    by more is `near` it in no cut that is nearly the same, and where one comes first the others are looked for anew."""
     kept_cuts: int = 200  # converged limits that are kept for their slopes
     missing_from: tuple[float, float] = (1.6, 0.45)  # starts of a missing mode, over the ends of where it may be
     missing_step: float = 0.1  # logarithm of their distance
     in_a_peak: float = 0.1
     """Share of the compliance of a mode along another in whose peak it lies from which it is not seen apart from it."""
     softest: float = 0.05  # share of its stiffness that a mode keeps at any speed, far beyond those that were cut at
+    softened: float = 0.05  # share of its frequency that each mode has more or less at the highest speed, likewise
     turned: float = 0.4  # angle of one mode from which a fit of coupled axes begins, either way [rad]
     flank_friction: float = 0.3  # friction coefficient between flank and work
     minutes: float = 20.0  # to bracket a limit

@@ -441,6 +441,14 @@ class Bench:
         values = self.values
         return values + 4.0 * float(np.sqrt(2.0 * values)) + RULES.little * max(at.chi2 - values, 0.0)
 
+    def hopeless(self, at: Fit) -> bool:
+        """Whether a fit that did not end leaves more than noise even with all that its steps may still bring.
+
+        Where a prediction jumps, as a limit depth does that an island of instability comes below, a fit may stop before
+        a jump that it would have to take: how bad the best one is need not be known.
+        """
+        return at.chi2 - RULES.hope * at.promised > self.explained(at)
+
     def first_order(self, at: Fit, causes: Sequence[int]) -> float:
         """Likelihood ratio of more causes as the linearisation has it: the best over their shapes."""
         here = self.tangent(at)

@@ -212,7 +212,7 @@ def _ordered(bench: Bench, at: Fit, found: Sequence[tuple[Fit, tuple[int, ...]]]
 
 def _passes(bench: Bench, at: Fit, candidate: Fit, added: tuple[int, ...], limit: float, steps: list[Step]) -> bool:
     """Hold a candidate against threshold, admissibility and held-out gain; note what comes near."""
-    if not at.converged or _merit(bench, at, candidate) <= limit - RULES.close:
+    if not (at.converged or bench.hopeless(at)) or _merit(bench, at, candidate) <= limit - RULES.close:
         return False
     candidate = bench.confirmed(candidate)
     if not candidate.converged or _merit(bench, at, candidate) <= limit:

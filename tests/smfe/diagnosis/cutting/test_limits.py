@@ -18,6 +18,7 @@ from smfe.diagnosis.cutting.converged import PeriodicCut
 from smfe.diagnosis.cutting.limits import CuttingLimits, KnownLimit, Limit, Trial, bracketed, limit_family
 from smfe.diagnosis.cutting.rules import RULES
 from smfe.diagnosis.judgement.diagnose import diagnose
+from stability.methods.dense_problem import Dense
 from stability.methods.semi_discretization import limit_depth
 from stability.methods.zero_order_scan import loop_of, modal_crossings
 from stability.problem import Cut
@@ -277,6 +278,30 @@ def test_a_crossing_just_below_the_one_that_is_followed_is_not_overlooked() -> N
     first, other = here.crossings(0.1)[:2]
     assert 1.004 < other.depth / first.depth < 1.012
     assert here.crossings(0.1, [other])[0].depth == pytest.approx(first.depth, rel=1e-6)
+
+
+def test_the_vibration_of_a_crossing_that_is_followed_is_known_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newton's method ends with ``M x = x/depth``; crossings twice as deep as the first are not followed at all."""
+    mill = Mill(teeth=2)
+    cut = Cut(Tool(mill.diameter, mill.teeth), Engagement(mill.entry, mill.leave), CuttingCoefficients(1.9e9, 0.8e9, 0))
+    near = PeriodicCut.of(as_machine(mill), cut, 1100.0).crossings(0.1)
+    assert near[-1].depth > 2.0 * near[0].depth
+    softer = PeriodicCut.of(replace(as_machine(mill), stiffness=0.95 * as_machine(mill).stiffness), cut, 1100.0)
+    monkeypatch.setattr(Dense, "chips", lambda *_: pytest.fail("solved for once more"))
+    found = softer.crossings(0.1, near)
+    assert len(found) < len(near)
+    for at in found:
+        x = softer.chips(at)
+        np.testing.assert_allclose(
+            softer.applied(at.angle, x), x / at.depth, rtol=0, atol=1e-6 * np.abs(x).max() / at.depth
+        )
+
+
+@pytest.mark.parametrize("law", ["linear", "square"])
+def test_bearings_are_looked_for_where_they_soften_or_stiffen_all_modes(plain: CuttingLimits, law: str) -> None:
+    """Where an island of instability opens below a limit its depth jumps: no slope leads over that."""
+    (bearings,) = (c for c in plain.causes if c.key == f"spindle_speed_dynamics/{law}")
+    assert sorted(np.sign(bearings.starts).tolist()) == [[-1.0] * plain.machine.frequency.size, [1.0] * 2]
 
 
 def test_coupled_axes_are_looked_for_at_a_turn_of_each_mode(plain: CuttingLimits) -> None:
