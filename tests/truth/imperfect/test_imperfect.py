@@ -163,3 +163,20 @@ def test_friction_that_falls_with_speed_is_at_most_twice_that_of_sliding_and_is_
     (d,) = kept
     v = np.abs(np.gradient(d.target, d.axis.cycle))
     assert np.mean((v > 0.2 * d.axis.slow) & (v < 2.0 * d.axis.slow)) > 0.1
+
+
+@pytest.mark.slow
+def test_an_effect_of_limits_is_told_by_the_slopes_of_the_machine_that_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beyond a kink of the lobes a mode 1.7 % higher does what a coupling of 25 degrees does: that much is not told."""
+    seen: list[float] = []
+    told = limits.Known.told
+
+    def kept(known: limits.Known, *arguments: object) -> float:
+        seen.append(told(known, *arguments))
+        return seen[-1]
+
+    monkeypatch.setattr(limits.Known, "told", kept)
+    planned = limits._planned(np.random.default_rng([4330400, 401]), 4330400, ("coupling",), 1.0)
+    assert planned.told
+    assert min(seen[-2:]) >= limits.TOLD > seen[1]
+    assert abs(planned.sizes["coupling"]) > 1.3 * math.radians(25.0)
