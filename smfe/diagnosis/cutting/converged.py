@@ -9,7 +9,7 @@ a mesh whose error is far below what a bracket says. At a crossing the operator 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -77,17 +77,24 @@ class PeriodicCut:
         """Time after which the cut repeats [s]."""
         return self.mesh.pattern.duration(self.spindle_speed)
 
-    def crossings(self, deepest: float, near: Sequence[Crossing] = ()) -> list[Crossing]:
+    def crossings(
+        self, deepest: float, near: Sequence[Crossing] = (), mean: Callable[[], tuple[Real, Real]] | None = None
+    ) -> list[Crossing]:
         """Return the crossings down to a depth [m], the shallowest first; where there is none, the shallowest.
 
         Those of a cut that is nearly this one are followed by Newton's method, but for the much deeper ones. Where the
-        map over one period is unstable below the first, each change of sign over a coarse grid of angles is closed in
-        on likewise, and where that finds no first one either the grid is refined until it is safe.
+        map over one period is unstable below the first, those of the mean forces are, depths [m] and frequencies [Hz];
+        then each change of sign over a coarse grid of angles is closed in on likewise, and where that finds no first
+        one either the grid is refined until it is safe.
         """
         shallow = [c for c in near if c.depth <= RULES.deepest_followed * near[0].depth]
         followed = [at for c in shallow if (at := self._settled(c.angle, 1.0 / c.depth)) is not None]
         if self._first(found := _apart(followed, math.inf)):
             return found
+        if mean is not None:
+            followed += self._beside(*mean())
+            if self._first(found := _apart(followed, math.inf)):
+                return found
         curve = self.dense.crossing_values
         # Of a cut far stiffer than the one that was measured the first is deeper than any that is looked for.
         for count, depths in ((1, (deepest, RULES.far_deeper * deepest)), (RULES.finer, (RULES.far_deeper * deepest,))):
@@ -97,6 +104,14 @@ class PeriodicCut:
                 if self._first(found := self._newton(angles, values, depth)):
                     return found
         return find_crossings(curve, angles)
+
+    def _beside(self, depth: Real, frequency: Real) -> list[Crossing]:
+        """Return the crossings that Newton's method comes to from those of the mean forces, the first of them only."""
+        near = depth <= RULES.deepest_followed * depth.min(initial=math.inf)
+        turned = np.mod(2.0 * math.pi * self.period * frequency[near], 2.0 * math.pi)
+        angles = np.minimum(turned, 2.0 * math.pi - turned)
+        found = [self._settled(float(angle), 1.0 / float(b)) for angle, b in zip(angles, depth[near], strict=True)]
+        return [at for at in found if at is not None]
 
     def _first(self, found: Sequence[Crossing]) -> bool:
         """Whether the cut is stable below the first of some crossings."""

@@ -344,7 +344,8 @@ class CuttingLimits(Abilities):
             if len(self.kept) >= RULES.kept_cuts:
                 self.kept.clear()
             cut = PeriodicCut.of(self.changed(values, limit), self._cut(limit, values), limit.spindle_speed)
-            crossings = cut.crossings(RULES.deepest_observed * (limit.depth or math.inf), known.periodic)
+            mean = partial(self.limits_at, limit, values)
+            crossings = cut.crossings(RULES.deepest_observed * (limit.depth or math.inf), known.periodic, mean)
             if not crossings:
                 raise InputError(
                     f"{limit.words}: this machine does not chatter at any depth; check modes and coefficients"
