@@ -105,10 +105,12 @@ def diagnose(
             values, nuisances = _values(bench), int(np.sum(bench.model.weight[bench.model.nuisance] == 0.0))
             if values <= nuisances:
                 return Finding("insufficient_data", f"{values} values for {nuisances} parameters of the baseline")
-            if not bench.null().converged and not bench.hopeless(bench.null()):
-                return Finding("insufficient_data", f"the baseline could not be fitted: {bench.null().reason}")
+            at, steps = bench.null(), list[Step]()
             # As long as the data are prepared without a cause, one is enough to prepare them better.
-            at, steps = search(bench, RULES.most_causes if last or assumed else 1)
+            if at.converged or bench.hopeless(at):
+                at, steps = search(bench, RULES.most_causes if last or assumed else 1)
+            if not at.converged:
+                return Finding("insufficient_data", f"the baseline could not be fitted: {at.reason}")
             if last or at.causes == assumed:
                 break
             assumed, known = at.causes, dict(bench.fits)

@@ -445,9 +445,10 @@ class Bench:
         """Whether a fit that did not end leaves more than noise even with all that its steps may still bring.
 
         Where a prediction jumps, as a limit depth does that an island of instability comes below, a fit may stop before
-        a jump that it would have to take: how bad the best one is need not be known.
+        a jump that it would have to take: how bad the best one is need not be known. One that has no slopes where it
+        stopped promises nothing that could be counted.
         """
-        return at.chi2 - RULES.hope * at.promised > self.explained(at)
+        return 0.0 < RULES.hope * at.promised < at.chi2 - self.explained(at)
 
     def first_order(self, at: Fit, causes: Sequence[int]) -> float:
         """Likelihood ratio of more causes as the linearisation has it: the best over their shapes."""
