@@ -116,6 +116,7 @@ class Work(NamedTuple):
     ring: Any
     integral: Any
     largest: Any
+    recent: Any
     blended: Any
     fresh: Any
     tally: Any

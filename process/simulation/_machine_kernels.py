@@ -37,7 +37,7 @@ from process.simulation._machine_arrays import (
     WORST,
 )
 
-_EVERY = 16
+_EVERY = 64
 _SOLVED = 0.01
 
 
@@ -340,18 +340,39 @@ def _store(el, work, i, states, inputs):
         inputs[i, work.known.shape[0] + e] = work.force[0, e]
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _note_motion(work):
+    """Note how large states and forces have been since the last look at them."""
+    recent, size = work.recent, work.z.size
+    for k in range(recent.size):
+        recent[k] = max(recent[k], abs(work.z[k]) if k < size else abs(work.force[0, k - size]))
+
+
 @njit(cache=True, nogil=True, _nrt=False)
-def _at_rest(work, i, rest):
-    """Return whether states and forces have stayed below a share of their largest for longer than the dead times."""
+def _at_rest(servos, work, i, n, left, rest):
+    """Return whether nothing moves any more that would with `left` steps to come, of a machine of n coordinates.
+
+    States and forces have stayed below the share rest[0] of their largest for longer than the dead times. Or a slide
+    that its guideway holds stays where it is: velocities are below the share rest[1] of the largest, and what the
+    servos wind up by until the end, as they do now, is below the share rest[2] of the largest force.
+    """
     if i % _EVERY:
         return False
-    largest, size, moving = work.largest, work.z.size, False
+    largest, recent, moving, now, fastest = work.largest, work.recent, False, 0.0, 0.0
     for k in range(largest.size):
-        now = abs(work.z[k]) if k < size else abs(work.force[0, k - size])
-        largest[k] = max(largest[k], now)
-        moving = moving or now > rest * largest[k]
+        largest[k] = max(largest[k], recent[k])
+        moving = moving or recent[k] > rest[0] * largest[k]
+        if n <= k < 2 * n:
+            now, fastest = max(now, recent[k]), max(fastest, largest[k])
+        recent[k] = 0.0
+    creeping = rest[1] > 0.0 and now <= rest[1] * fastest
+    mask = work.ring.shape[1] - 1
+    for s in range(servos.target.size):
+        # The ring has a force every half step.
+        winds = abs(work.ring[s, (2 * i) & mask] - work.ring[s, (2 * i - 4) & mask]) / 2.0
+        creeping = creeping and winds * left <= rest[2] * work.tally[SCALE]
     work.mode[STILL] = 0 if moving else work.mode[STILL] + _EVERY
-    return work.mode[STILL] > work.ring.shape[1]
+    return creeping or work.mode[STILL] > work.ring.shape[1]
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -361,8 +382,8 @@ def integrate(lin, el, servos, given, work, step, accuracy, rest, cut, states, i
     states (steps, N) and inputs (steps, u + e) receive the state, the inputs and the forces of the elements at the
     start of each step. `accuracy` is the largest error of an element's force, over the largest force so far. work.tally
     receives the largest difference between the energy in masses and springs and the integral of the power (Simpson).
-    With a cut the first three inputs are the forces on the tool. Once all states and forces are below a share `rest` of
-    their largest and no excitation follows, the run ends: states and inputs must be zero before and stay so.
+    With a cut the first three inputs are the forces on the tool. Once nothing moves any more by the shares `rest` (3,)
+    and no excitation follows, the run ends: states and inputs must be zero before and stay so.
     """
     steps, milling = states.shape[0], cut.leave > cut.entry
     work.tally[SCALE] = given.peak
@@ -384,8 +405,11 @@ def integrate(lin, el, servos, given, work, step, accuracy, rest, cut, states, i
             result = _integrate_step(lin, el, servos, work, i, step, accuracy)
             if result != DONE:
                 return result, i
-            if i >= given.values.shape[1] and servos.every == 0 and not milling and _at_rest(work, i, rest):
-                return DONE, i + 1
+            if servos.every == 0 and not milling:
+                _note_motion(work)
+                left = steps - i
+                if i >= given.values.shape[1] and _at_rest(servos, work, i, lin.mass.shape[0], left, rest):
+                    return DONE, i + 1
         if milling:
             pose = _leave_surface(lin, cut, work, int(lin.places[max(i, 0)] + 0.5), t, before, pose)
     return DONE, steps

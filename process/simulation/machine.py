@@ -325,7 +325,13 @@ class RepeatedImpact:
             self._prepared = prepare(p, system, 1.0 / self.rate, round(run.total * self.rate))
         self._accuracy, self._axis = accuracy, axis
 
-    def displacement(self, impact: Excitation, rest: float = RULES.at_rest, pull: float = 0.0) -> Real:
+    def displacement(
+        self,
+        impact: Excitation,
+        rest: float = RULES.at_rest,
+        pull: float = 0.0,
+        held: tuple[float, float] = (0.0, 0.0),
+    ) -> Real:
         """Return the displacement of the tool [m] from the ramp at each sample, shape (3, m), until it is at rest.
 
         Parameters
@@ -338,6 +344,10 @@ class RepeatedImpact:
         pull : float, optional
             Force [N] of the drive on the axis of the impact as it comes to rest, which its guideway holds: the
             integrator of a servo at rest has any, up to the static friction.
+        held : (float, float), optional
+            A slide that its guideway holds does not come back. Its record ends as well once all velocities are below
+            the first share of the largest, and the servos, winding up as they do then, would change their forces by
+            less than the second share of the largest force until the end of the run: the tool stays where it is.
 
         Raises
         ------
@@ -346,7 +356,10 @@ class RepeatedImpact:
             with a bristle (LuGre) holds the pull.
         """
         r = self._prepared if pull == 0.0 else _pulled(self._prepared, self._axis, pull)
-        run = integrate(r, pack_impact(impact, r.step, r.steps), [], keep=1, accuracy=self._accuracy, rest=rest)
+        given = pack_impact(impact, r.step, r.steps)
+        # What a servo without dead time winds up by is not watched.
+        stays = (0.0, 0.0) if r.system.prompt else held
+        run = integrate(r, given, [], keep=1, accuracy=self._accuracy, rest=rest, held=stays)
         return displacement_of(r.problem, run)
 
 

@@ -295,6 +295,7 @@ def scratch(
         ring=np.zeros((held, ring)),
         integral=np.zeros((held, 2)),
         largest=np.zeros(size + count),
+        recent=np.zeros(size + count),
         blended=np.zeros(linear.maps.shape[1:]),
         fresh=np.full(linear.maps.shape[1], -1, dtype=np.int64),
         tally=np.zeros(4),

@@ -70,6 +70,7 @@ def integrate(
     keep: int,
     accuracy: float,
     rest: float = RULES.at_rest,
+    held: tuple[float, float] = (0.0, 0.0),
 ) -> Run:
     """Integrate under forces over time, as packed and as sampled.
 
@@ -85,6 +86,8 @@ def integrate(
         See `process.simulation.machine.ACCURACY`.
     rest : float, optional
         See `SimulationRules.at_rest`.
+    held : (float, float), optional
+        See `process.simulation.machine.RepeatedImpact.displacement`.
 
     Raises
     ------
@@ -96,7 +99,7 @@ def integrate(
     work = scratch(r.linear, r.elements, r.servos, r.ring, r.state)
     cut = pack_cut(r.problem, r.step)
     end, done = kernels.integrate(
-        r.linear, r.elements, r.servos, given, work, r.step, accuracy, rest, cut, states, inputs
+        r.linear, r.elements, r.servos, given, work, r.step, accuracy, np.array([rest, *held]), cut, states, inputs
     )
     if end == arrays.NOT_SOLVED:
         raise InputError(
@@ -278,7 +281,7 @@ def _cutting_force(p: Problem, run: Run, samples: int) -> Real:
 
 
 def displacement_of(p: Problem, run: Run) -> Real:
-    """Displacement of the tool (3, done) at the start of each step until all is at rest."""
+    """Displacement of the tool (3, done) at the start of each step until nothing moves any more."""
     n = p.structures[0].size
     seen = run._replace(states=run.states[: run.done], inputs=run.inputs[: run.done], places=run.places[: run.done])
     rows = [np.hstack([s.tool, np.zeros((3, run.states.shape[1] + run.inputs.shape[1] - n))]) for s in p.structures]

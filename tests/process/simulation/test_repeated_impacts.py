@@ -47,6 +47,19 @@ def test_a_hit_in_motion_that_is_followed_to_rest_has_the_spectrum_of_one_follow
     assert missing.max() < 1e-5
 
 
+def test_a_slide_that_its_guideway_holds_need_not_be_followed_to_the_end_of_the_window() -> None:
+    """It does not come back, so that it is never at rest as a moving one is."""
+    structure, servo = two_mass_axes({"x": Drive(23.1, 11.3, 1.68e6, 300.0)}), Servo(6268.0, 10.9e-3, 45.5, 7.5e-4)
+    damped = Machine(structure, {"x": FeedAxis(servo, FRICTION)})
+    prepared = RepeatedImpact(damped, "x", MachineRun(1.9), accuracy=1e-4)
+    impact = HalfSine.from_peak(50.0, start=0.0)
+    whole, usual = prepared.displacement(impact)[0], prepared.displacement(impact, rest=1e-7)[0]
+    found = prepared.displacement(impact, rest=1e-7, held=(1e-5, 0.02))[0]
+    assert usual.size == whole.size
+    assert found.size < 0.7 * whole.size
+    assert np.abs(whole[found.size :] - found[-64:].mean()).max() < 2e-4 * np.abs(whole).max()
+
+
 @dataclass(frozen=True)
 class Held(Excitation):
     """A force that rises within a second, and stays."""
