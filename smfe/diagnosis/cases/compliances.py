@@ -31,9 +31,16 @@ from smfe.diagnosis.frf.axis import MachineFrfs, as_hit
 from smfe.diagnosis.frf.axis_baseline import SPREAD as SHEET
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Sides
 from smfe.diagnosis.frf.modes import SPREAD, ModalFrfs, expected_of
-from smfe.diagnosis.frf.noise import Excited, compared, condition_of, degrees_of_freedom_of, excitation_of
+from smfe.diagnosis.frf.noise import (
+    Excited,
+    compared,
+    condition_of,
+    degrees_of_freedom_of,
+    excitation_of,
+    near_mains,
+)
 from smfe.diagnosis.frf.rules import RULES
-from smfe.diagnosis.frf.workshop import near_mains, runs, with_single_hits
+from smfe.diagnosis.frf.workshop import runs, with_single_hits
 from smfe.diagnosis.inference.problem import Condition
 from smfe.identification.errors.result import Identification
 from smfe.progress import Progress, silent
@@ -116,7 +123,7 @@ def _axis_family(
                 f"measurement '{m.name}': controller {controller!r} is none of the baseline's "
                 f"{', '.join(baseline.servos)}; name one of them"
             )
-        conditions.append(_condition(m, found[m.name], (axis,), band, order, controller))
+        conditions.append(_condition(m, found[m.name], (axis,), band, order, controller, hum=campaign.tolerances.hum))
     if not conditions:
         raise InputError(
             f"no hammer or actuator measurement has {axis} under a force along {axis} with its "
@@ -280,7 +287,7 @@ def _condition(
     if modal is not None:
         excited = with_single_hits(excited, found.compliance, found.hits, expected_of(modal, excited, settings))
     else:
-        excited = compared(excited, found.compliance, found.hits.get(axes[0]))
+        excited = compared(excited, found.compliance, found.hits.get(axes[0]), hum)
     if left is not None:
         shared = left(excited)
         excited = replace(

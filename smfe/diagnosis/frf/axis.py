@@ -84,6 +84,30 @@ class MachineFrfs(Abilities):
             expected = self.predict(condition, {p.name: p.start for p in self.nuisances})
         return excited_of(condition).squared_size(np.asarray(expected), misfit)
 
+    def squared_change(self, condition: Condition, before: Values, after: Values, misfit: Real) -> float:
+        """Return the square of what hits show of a change, or vibration as small as that which a cut begins with [1].
+
+        A hit takes a slide to and fro, far beyond its feed: it hardly shows the slope of the friction there, which
+        alone damps, or feeds, a vibration that is about to grow. That counts by the most negative real part.
+        """
+        shown, depths = self.squared_size(condition, misfit), [self._least_real(condition, v) for v in (before, after)]
+        if min(depths) <= 0.0 or depths[0] == depths[1]:
+            return shown
+        return max(shown, (max(depths) / min(depths) - 1.0) ** 2)
+
+    def _least_real(self, condition: Condition, values: Values) -> float:
+        """Most negative real part for small vibration, without its sign; 0 at rest, and where none stays small."""
+        excited, axis = excited_of(condition), self.baseline.axis
+        feed = excited.feed.get(axis, 0.0)
+        found = self.baseline.under(self.baseline.effective(values, condition.settings, feed), excited.controller)
+        if feed == 0.0 or max(side.static for side in found.friction) == 0.0:
+            return 0.0
+        at = self.baseline.machine(found).at({axis: feed}, excited.controller)
+        if at.unstable_poles():
+            return 0.0
+        n = "xyz".index(axis)
+        return float(-at.matrix(excited.frequency)[:, n, n].real.min())
+
     def relative(self, condition: Condition, predicted: Real, slopes: Real) -> Complex:
         """Return slopes of a prediction, (n, p), over the prediction itself, each line by itself, (n/2, p)."""
         excited = excited_of(condition)
@@ -196,7 +220,7 @@ class SimulatedMachine:
         """
         if not self._linear:
             impact = self._impact(axis, excited)
-            return impact.displacement(pulse, RULES.rest, pull), impact.rate
+            return impact.displacement(pulse, RULES.rest, pull, RULES.held), impact.rate
         key = (axis, excited.controller)
         if key not in self._one or self._one[key][0] < excited.window:
             impact = self._impact(axis, excited)
@@ -228,9 +252,9 @@ def _spectrum(pulse: Excitation, frequency: bytes) -> Complex:
 
 
 def _transform(x: Real, excited: Excited, rate: float) -> Complex:
-    """Fourier transform of a displacement that stays where it ends after the window, as from its acceleration.
+    """Fourier transform of a displacement that stays where it ends, as from its acceleration.
 
-    Where it ends before the window it is back where it was.
+    Where it ends before the window next to nothing moves any more: it stays where it is then on average.
     """
     count, w = round(excited.window * rate), 2.0 * np.pi * excited.frequency
     fine, coarse = _turns(excited.frequency.tobytes(), count, rate)
@@ -238,9 +262,9 @@ def _transform(x: Real, excited: Excited, rate: float) -> Complex:
     whole.reshape(-1)[: x.size] = x
     # Blocks first, then what turns from block to block: a matrix of all samples would not fit into a fast memory.
     out = np.sum((fine @ whole.T) * coarse[:, : len(whole)], axis=1) / rate
-    if x.size < count:
-        return np.asarray(out)
-    return np.asarray(out + x[-1] * np.exp(-1j * w * count / rate) / (1j * w))
+    stays = x[-1] if x.size >= count else x[-RULES.block :].mean()
+    # As a sum, too: beside an integral half a sample of where it stays would be missing.
+    return np.asarray(out + stays * np.exp(-1j * w * x.size / rate) / (1.0 - np.exp(-1j * w / rate)) / rate)
 
 
 @lru_cache(maxsize=128)

@@ -120,6 +120,12 @@ class AxisBaseline:
         soft = RULES.contact * RULES.contact_axis / d.stiffness
         around = (0.1 * soft, 50.0 * soft, RULES.contact_spread * soft)
         found.append(Parameter("contact", "um/kN", soft, 0.2 * soft, *around, 1e9))
+        # Sliding and static friction are declared within some per cent each, so that their difference, which damps or
+        # feeds vibration in slow motion, is off by several times that.
+        for force, said in (("coulomb", "sliding friction"), ("static", "static friction")):
+            if force in self.known:
+                within = (0.0, 0.02, -0.5, 1.0, RULES.declared_friction)
+                found.append(Parameter(f"{force}_error", "%", *within, 100.0, "guideway_friction", True, said))
         t = self.tolerances
         if self.servos and t.control_gain > 0.0:
             for gain, said in (("Kp", "velocity gain Kp"), ("Ti", "integral time Ti"), ("Kv", "position gain Kv")):
@@ -144,10 +150,16 @@ class AxisBaseline:
 
     @property
     def rate(self) -> float:
-        """Steps and samples a second of a simulated hit [Hz]: no step is longer than the shortest dead time may be."""
+        """Steps and samples a second of a simulated hit [Hz]: no step is longer than the shortest dead time may be.
+
+        The fastest pole is that of both masses on their joint. As it moves in a fit it must not need other steps: what
+        they change, a fifth of the noise at rest, would be a jump that no slope knows.
+        """
         shortest = min((s.delay for s in self.servos.values()), default=0.0)
         least = max(shortest - self.tolerances.dead_time, 0.5 * shortest)
-        return RULES.rate * (math.ceil(1.0 / (RULES.rate * least) - 1e-9) if least > 0.0 else 1.0)
+        d = self.drive
+        free = math.sqrt(d.stiffness * (1.0 / d.moving_mass + 1.0 / d.tip_mass)) / (2.0 * math.pi)
+        return max(RULES.rate, RULES.steps_per_pole * free, 1.0 / least if least > 0.0 else 0.0)
 
     def causes(self) -> tuple[Cause, ...]:
         """Return what this baseline may lack."""
@@ -214,8 +226,11 @@ class AxisBaseline:
             value = self.known.get(name, otherwise)
             return value[n] if isinstance(value, tuple) else float(value)
 
-        coulomb = known("coulomb", 0.0) + values.get("coulomb", 0.0) + values.get("stribeck_coulomb", 0.0)
+        sliding = known("coulomb", 0.0) * (1.0 + values.get("coulomb_error", 0.0))
+        coulomb = sliding + values.get("coulomb", 0.0) + values.get("stribeck_coulomb", 0.0)
         static = known("static", coulomb) + values.get("static_rise", 0.0)
+        if "static" in self.known:
+            static = max(static * (1.0 + values.get("static_error", 0.0)), coulomb)
         speed = known("stribeck_speed", values.get("stribeck_speed", 6e-3))
         ratio = known("viscous", 1.0) / (0.5 * (known("viscous", 1.0, 0) + known("viscous", 1.0, 1)))
 

@@ -194,11 +194,12 @@ def chosen_lines(frequency: Real, band: tuple[float, float], apart: float = 1.0)
     return inside[:: max(1, round(apart), -(-inside.size // RULES.most_lines))]
 
 
-def compared(excited: Excited, compliance: xr.Dataset, hits: xr.Dataset | None) -> Excited:
+def compared(excited: Excited, compliance: xr.Dataset, hits: xr.Dataset | None, hum: float = 0.0) -> Excited:
     """Return how a compliance along one axis was excited, as a simulation in time is compared with it.
 
     `compliance` is the mean of `hits` (`smfe.identification.hammer.impacts.single_hits`), where they are known; the
-    level gets the sign of the force.
+    level gets the sign of the force. Hits scatter together but for the lines near the mains' harmonics, which are
+    averaged with their neighbours: these have `hum` (of the rms of all lines) besides.
     """
     ((response, excitation),) = excited.entries
     mean = compliance["compliance"].sel(response=response, excitation=excitation).values
@@ -218,10 +219,11 @@ def compared(excited: Excited, compliance: xr.Dataset, hits: xr.Dataset | None) 
     std, shared = np.full(known.size, np.nan), np.full(each.shape, np.nan, dtype=complex)
     std[known], shared[:, known] = scatter_of(each[:, known], impulse)
     # Whatever was done to the mean (another estimator, the mass of a sensor taken off) is done to the hits.
+    humming = hum * float(np.sqrt(np.mean(np.abs(mean) ** 2))) * near_mains(excited.frequency)
     each = each[:, pick] * (mean / ((impulse**2 @ each[:, pick]) / np.sum(impulse**2)))
     return replace(
         excited,
-        std=np.hypot(std[pick], RULES.floor * np.abs(mean))[:, None],
+        std=np.sqrt(std[pick] ** 2 + (RULES.floor * np.abs(mean)) ** 2 + humming**2)[:, None],
         shared=np.concatenate([shared[:, pick, None], smooth]),
         level=math.copysign(excited.level, impulse.sum()),
         window=float(hits.attrs["window_s"]),
@@ -280,6 +282,12 @@ def degrees_of_freedom_of(repeats: int, values: int) -> float:
     them add is lost again where noise is taken for that of a few neighbours.
     """
     return 2.0 * (repeats - 1) * values
+
+
+def near_mains(frequency: Real) -> NDArray[np.bool_]:
+    """Return which lines are near the mains' 50 or 60 Hz, or near harmonics of it."""
+    away = [np.abs(frequency - mains * np.maximum(np.round(frequency / mains), 1.0)) for mains in (50.0, 60.0)]
+    return np.asarray(np.minimum(*away) <= RULES.mains_width)
 
 
 def smooth_errors(frequency: Real, compliance: Complex, share: float) -> Complex:

@@ -41,11 +41,16 @@ class FrfRules:
     unsure: float = 0.5
     """Share of what the mean of the hits has more than the mean hit that is uncertain because the baseline is."""
     rate: float = 2000.0  # samples and steps a second of a simulated hit [Hz]
+    steps_per_pole: float = 25.0
+    """In a period of the fastest pole as declared: below 20 the simulation takes shorter ones."""
     accuracy: float = 1e-4
     """Of friction in a step; with 5e-4 some hits that break the guideway away jump with the parameters."""
     contact_time: float = 4e-3  # of the hit on a linear machine, whose compliance does not depend on it [s]
     block: int = 64  # samples that are transformed at once
     rest: float = 1e-7  # of a machine after a hit, next to its largest: a tenth of what the step costs in a hit of 25 N
+    held: tuple[float, float] = (1e-5, 0.02)
+    """Of a slide that its guideway holds: velocities after a hit next to their largest, and what the servo still winds
+    up by next to the largest force: what a slide that is held creeps by is a tenth of `floor` at the most."""
     period: float = 0.58
     """Standard deviation, about none, of the period of a control's samples over its dead time: that of what lies evenly
     between none and all of it. The gains of some controls are what acts, of others what a computer multiplies by."""
@@ -66,6 +71,7 @@ class FrfRules:
     )
     contact_spread: float = 10.0  # prior standard deviation of it, over itself: guideways differ by factors
     contact_loss: float = 1.2e-4  # its damping over its stiffness [s]
+    declared_friction: float = 0.02  # relative standard deviation of sliding and static friction that are declared
     elements: int = 20  # Jenkins elements of a joint with micro-slip
     hit_elements: int = 40  # the same in hits on modes: each that begins to slip bends a slope a little
     steps_a_period: float = 16.0  # of the highest mode that moves a joint in a hit: 1 % of what the joint does

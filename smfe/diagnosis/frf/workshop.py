@@ -254,12 +254,6 @@ def beside_the_point(frequency: Real, compliance: Complex, distance: float) -> C
     return np.asarray(share * shapes[:, :, None] * compliance)
 
 
-def near_mains(frequency: Real) -> NDArray[np.bool_]:
-    """Return which lines are near the mains' 50 or 60 Hz, or near harmonics of it."""
-    away = [np.abs(frequency - mains * np.maximum(np.round(frequency / mains), 1.0)) for mains in (50.0, 60.0)]
-    return np.asarray(np.minimum(*away) <= RULES.mains_width)
-
-
 def runs(chosen: NDArray[np.bool_]) -> list[slice]:
     """Return the runs of lines next to each other that are chosen."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int)))

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+import xarray as xr
 from exam.records import baseline, condition_of, family, sampled
 from scipy import stats
 from truth.axis import MM_MIN, RATE, Friction, Setting, Truth, simulate
@@ -16,7 +17,7 @@ from truth.chain import Chain
 from process.drive.servo import Servo
 from smfe.diagnosis.frf.axis import MachineFrfs, Recorded, SimulatedMachine, as_hit, at_rest
 from smfe.diagnosis.frf.axis_baseline import acting
-from smfe.diagnosis.frf.noise import Excited, Hits, degrees_of_freedom_of, scatter_of, smooth_errors
+from smfe.diagnosis.frf.noise import Excited, Hits, compared, degrees_of_freedom_of, scatter_of, smooth_errors
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.judgement.diagnose import diagnose
 
@@ -303,3 +304,49 @@ def test_an_effect_of_the_size_that_must_be_found_is_named():
     sealed = draw(11_900, effects=("gain",))
     found = diagnose(family(sealed.records))
     assert (found.verdict, [c.id for c in found.causes]) == ("named", ["sensor_gain"]), sealed.reveal(found.reason)
+
+
+def test_a_slide_that_a_hit_leaves_elsewhere_is_found_alike_with_any_samples():
+    """Where it stays counts from the last sample on, as a sum: half of one is missed easily."""
+    condition = nominal(level=1.2)
+    found = MachineFrfs(baseline("stribeck"), (condition,))
+    here = found.baseline.effective(values_of(found), {}, 0.0)
+    coarse, fine = (
+        SimulatedMachine(found.baseline.machine(here), r).compliance(condition.data) for r in (2000.0, 8000.0)
+    )
+    assert np.abs(coarse / fine - 1.0).max() < 2e-3
+
+
+def test_declared_friction_is_known_within_some_per_cent_and_what_it_changes_counts_by_small_vibration():
+    condition = nominal(250.0 * MM_MIN)
+    found = MachineFrfs(baseline("stribeck"), (condition,))
+    given = {p.name: p for p in found.nuisances}
+    assert {given[n].given for n in ("coulomb_error", "static_error")} == {"guideway_friction"}
+    values = values_of(found)
+    other = values | {"static_error": 0.05, "coulomb_error": -0.05}
+    sides = (found.baseline.effective(v, {}, MOVING).friction[0] for v in (values, other))
+    before, after = ((s.static, s.coulomb) for s in sides)
+    assert after == pytest.approx((1.05 * before[0], 0.95 * before[1]))
+    misfit = found.predict(condition, other) - found.predict(condition, values)
+    seen = replace(condition, observed=found.predict(condition, values))
+    assert found.squared_change(seen, values, other, misfit) > 2.0 * found.squared_size(seen, misfit)
+
+
+def test_lines_near_the_mains_are_not_as_quiet_as_their_neighbours():
+    rng, f = np.random.default_rng(3), np.arange(20.0, 90.0, 0.5)
+    each = 1e-8 * (1.0 + 1e-3 * rng.standard_normal((4, f.size, 2)) @ np.array([1.0, 1j]))
+    coordinates = {"response": ["x"], "excitation": ["x"], "frequency": f}
+    mean = xr.Dataset(
+        {"compliance": (("frequency", "response", "excitation"), each.mean(axis=0)[:, None, None])}, coordinates
+    )
+    force = np.tile(np.hanning(40), (4, 1))
+    hits = xr.Dataset(
+        {"compliance": (("hit", "frequency", "response"), each[:, :, None]), "force": (("hit", "contact_time"), force)},
+        {"response": ["x"], "frequency": f, "contact_time": np.arange(40) / 8192.0},
+        {"window_s": 2.0},
+    )
+    excited = Excited(f, (("x", "x"),), np.full((f.size, 1), 1e-11), "hammer", 0.3)
+    quiet, humming = (compared(excited, mean, hits, hum).std[:, 0] for hum in (0.0, 0.01))
+    between = np.abs(f - 55.0) < 3.0
+    assert np.all(humming[(f == 50.0) | (f == 60.0)] > 0.9e-10)
+    assert np.array_equal(humming[between], quiet[between])

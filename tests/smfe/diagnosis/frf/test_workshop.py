@@ -10,14 +10,13 @@ from truth.modal_machine import LINES, Hidden, Setting, compliance
 from truth.modal_workshop import turn
 
 from smfe.campaign.tolerances import Tolerances
-from smfe.diagnosis.frf.noise import Excited
+from smfe.diagnosis.frf.noise import Excited, near_mains
 from smfe.diagnosis.frf.workshop import (
     apart,
     errors_of_condition,
     force,
     measured,
     mounting,
-    near_mains,
     runs,
     sensor_nuisances,
     without_own_noise,
