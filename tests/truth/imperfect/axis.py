@@ -189,8 +189,9 @@ TOLERANCES = {"sensors": math.sqrt(2.0) * 0.01, "gains": 0.02, "masses": 0.1, "s
 HIDDEN_BY_TOLERANCES = ("gain", "force_gain", "velocity_gain", "integral_time", "position_gain")
 """Effects that are something a campaign gives, which is off within its tolerance in every campaign."""
 
-MOST_ASYMMETRIC = 0.8
-"""Difference of the directions over their mean: then one has two and a half times the friction of the other."""
+MOST = {"asymmetry": 0.8, "friction_level": 1.0}
+"""Difference of the directions over their mean, when one has two and a half times the friction of the other; a friction
+of twice what is declared."""
 
 
 def noise_of(b: Bench, plan: list[Visit], tools: Instruments, f: Real) -> Real:
@@ -363,7 +364,7 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
     dry = (dry or bool(set(hidden) & set(DRY))) and "friction" not in hidden
     base = drawn(rng, dry)
     plan = visits(rng)
-    if "asymmetry" in hidden:
+    if set(hidden) & set(DRY):
         plan = slowly(plan)
     signs = {name: float(rng.choice([-1.0, 1.0])) for name in sorted(EFFECTS | OUTSIDE)}
     tools = bench.instruments(rng, RATE / int(rng.choice([2, 3, 4])))
@@ -381,15 +382,17 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
             size, cost = bench.raised(size, price, largest=4.0)
         else:
             size, cost = bench.raised(size, price, what.switch)
-        if name in (*HIDDEN_BY_TOLERANCES, "asymmetry"):
+        if name in (*HIDDEN_BY_TOLERANCES, *DRY):
             least = told(now, plan, name, tools, math.copysign(1.0, size))
-            least = min(least, MOST_ASYMMETRIC) if name == "asymmetry" else least
+            least = min(least, MOST.get(name, math.inf))
             size = math.copysign(max(abs(size), least), size)
             cost = price(size)
         if scale != 1.0:
             size, cost = size * scale, price(size * scale)
         sizes[name], b = size, planted(now, name, size)
-    _write(path, b, base, plan, sizes, tools, rng)
+    slowest = min(abs(v.feed) for v in plan if v.feed != 0.0)
+    spared = tuple(v.name for v in plan if set(hidden) & set(DRY) and abs(v.feed) == slowest)
+    _write(path, b, base, plan, sizes, tools, rng, spared)
     ids = {name: (EFFECTS | OUTSIDE)[name].causes for name in hidden}
     drawn_: dict[str, float | str] = {"snr": tools.snr, "friction": b.truth.friction.kind, "times": b.times}
     return Answer("axis", seed, sizes, ids, cost, {}, drawn_)
@@ -403,6 +406,7 @@ def _write(
     sizes: dict[str, float],
     tools: Instruments,
     rng: np.random.Generator,
+    spared: tuple[str, ...],
 ) -> None:
     out = bench.folder(path, rng, "axis", (".mat", ".h5"))
     unit = str(rng.choice(["m/s^2", "g"]))
@@ -434,6 +438,7 @@ def _write(
         out.say(f'friction = {{ law = "andersson", {words}, {speed}, {sigma}, kt = "1e4 s/m" }}')
     count = int(rng.integers(3, 6))
     held = plan[int(rng.integers(1, len(plan) - 1))].name if rng.random() < 0.4 else ""
+    held = "" if held in spared else held  # nothing else shows what is hidden
     side = float(rng.uniform(1.3, 1.8)), 0.03, t.joint.stiffness * float(rng.uniform(1.5, 3.0))
     usual = None
     for number, visit in enumerate(plan):
