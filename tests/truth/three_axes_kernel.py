@@ -22,26 +22,36 @@ def _bristle(z, v, f):
 
 
 @njit(cache=True)
-def _slopes(y, n, inverse, damping, stiffness, slides, friction, feed, steady, drive, push, joint, elements, out):
+def _slopes(y, n, inverse, damping, stiffness, slides, friction, feed, steady, drive, push, joint, parts, force, out):
     a = slides.shape[0]
-    m = elements.shape[0]
-    force = push - stiffness @ y[:n] - damping @ y[n : 2 * n]
+    for i in range(n):
+        force[i] = push[i]
+        for j in range(n):
+            force[i] -= stiffness[i, j] * y[j] + damping[i, j] * y[n + j]
     for i in range(a):
-        v = feed[i] + slides[i] @ y[n : 2 * n]
+        v = feed[i]
+        for j in range(n):
+            v += slides[i, j] * y[n + j]
         rate, held = _bristle(y[2 * n + i], v, friction[i])
         out[2 * n + i] = rate
-        force += slides[i] * (drive[i] - (held - steady[i]))
-    if m > 0:
-        gap = joint @ y[:n]
-        speed = joint @ y[n : 2 * n]
-        for i in range(m):
-            at = 2 * n + a + i
-            carried = y[at]
-            slips = abs(carried) >= elements[i, 1] and carried * speed > 0.0
-            out[at] = 0.0 if slips else elements[i, 0] * speed
-            force -= joint * (carried - 0.0 * gap)
-    out[:n] = y[n : 2 * n]
-    out[n : 2 * n] = inverse @ force
+        for j in range(n):
+            force[j] += slides[i, j] * (drive[i] - (held - steady[i]))
+    if parts.shape[0] > 0:
+        speed = 0.0
+        for j in range(n):
+            speed += joint[j] * y[n + j]
+        for i in range(parts.shape[0]):
+            carried = y[2 * n + a + i]
+            slips = abs(carried) >= parts[i, 1] and carried * speed > 0.0
+            out[2 * n + a + i] = 0.0 if slips else parts[i, 0] * speed
+            for j in range(n):
+                force[j] -= joint[j] * carried
+    for i in range(n):
+        out[i] = y[n + i]
+        rate = 0.0
+        for j in range(n):
+            rate += inverse[i, j] * force[j]
+        out[n + i] = rate
 
 
 @njit(cache=True)
@@ -53,15 +63,16 @@ def run(inverse, damping, stiffness, slides, tool, friction, feed, servo, resolu
     """
     n, a, m = inverse.shape[0], slides.shape[0], elements.shape[0]
     size = 2 * n + a + m
-    y, k1, k2, k3, k4 = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
+    y, at, k = np.zeros(size), np.zeros(size), np.zeros((4, size))
+    force, now, middle, then = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     steady = np.zeros(a)
     for i in range(a):
         if feed[i] != 0.0:
-            at = 2 if feed[i] > 0.0 else 6
+            side = 2 if feed[i] > 0.0 else 6
             f = friction[i]
-            level = f[at] + (f[at + 1] - f[at]) * math.exp(-abs(feed[i]) / f[at + 2])
+            level = f[side] + (f[side + 1] - f[side]) * math.exp(-abs(feed[i]) / f[side + 2])
             y[2 * n + i] = math.copysign(level, feed[i]) / f[0]
-            steady[i] = math.copysign(level, feed[i]) + f[at + 3] * feed[i]
+            steady[i] = math.copysign(level, feed[i]) + f[side + 3] * feed[i]
     drive, integral, before = np.zeros(a), np.zeros(a), np.zeros(a)
     queue = np.zeros((a, 64))
     count = pulse.size
@@ -82,53 +93,41 @@ def run(inverse, damping, stiffness, slides, tool, friction, feed, servo, resolu
                     queue[i, j] = queue[i, j - 1]
                 queue[i, 0] = servo[i, 0] * (error + integral[i])
                 drive[i] = queue[i, int(servo[i, 3])]
-        now = pushed * pulse[t]
-        middle = pushed * (0.5 * (pulse[t] + pulse[t + 1]))
-        then = pushed * pulse[t + 1]
-        for i in range(3):
-            moved[i, t] = 0.0
-        _slopes(y, n, inverse, damping, stiffness, slides, friction, feed, steady, drive, now, joint, elements, k1)
-        for i in range(3):
-            moved[i, t] = tool[i] @ k1[n : 2 * n]
-        for i in range(a):
-            at_slides[i, t] = slides[i] @ y[:n]
-        _slopes(
-            y + 0.5 * h * k1,
-            n,
-            inverse,
-            damping,
-            stiffness,
-            slides,
-            friction,
-            feed,
-            steady,
-            drive,
-            middle,
-            joint,
-            elements,
-            k2,
-        )
-        _slopes(
-            y + 0.5 * h * k2,
-            n,
-            inverse,
-            damping,
-            stiffness,
-            slides,
-            friction,
-            feed,
-            steady,
-            drive,
-            middle,
-            joint,
-            elements,
-            k3,
-        )
-        _slopes(
-            y + h * k3, n, inverse, damping, stiffness, slides, friction, feed, steady, drive, then, joint, elements, k4
-        )
-        y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        for i in range(n):
+            now[i] = pushed[i] * pulse[t]
+            middle[i] = pushed[i] * 0.5 * (pulse[t] + pulse[t + 1])
+            then[i] = pushed[i] * pulse[t + 1]
+        for stage in range(4):
+            push = now if stage == 0 else (then if stage == 3 else middle)
+            part = 0.0 if stage == 0 else (h if stage == 3 else 0.5 * h)
+            for i in range(size):
+                at[i] = y[i] + part * k[stage - 1, i] if stage else y[i]
+            _slopes(
+                at,
+                n,
+                inverse,
+                damping,
+                stiffness,
+                slides,
+                friction,
+                feed,
+                steady,
+                drive,
+                push,
+                joint,
+                elements,
+                force,
+                k[stage],
+            )
+            if stage == 0:
+                for i in range(3):
+                    for j in range(n):
+                        moved[i, t] += tool[i, j] * k[0, n + j]
+                for i in range(a):
+                    for j in range(n):
+                        at_slides[i, t] += slides[i, j] * y[j]
+        for i in range(size):
+            y[i] += h / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
         for i in range(m):
-            at = 2 * n + a + i
-            y[at] = min(max(y[at], -elements[i, 1]), elements[i, 1])
+            y[2 * n + a + i] = min(max(y[2 * n + a + i], -elements[i, 1]), elements[i, 1])
     return moved, at_slides
