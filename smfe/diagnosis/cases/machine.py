@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from process.errors import InputError
+from process.types import Complex
 from smfe.campaign import Campaign
 from smfe.campaign.machine import GivenAxis
 from smfe.diagnosis.cases.case import NamedModes
 from smfe.diagnosis.cases.experiments import proposed_modal_experiments
-from smfe.diagnosis.frf.noise import excited_of, smooth_errors
+from smfe.diagnosis.frf.noise import Excited, excited_of, smooth_errors
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.machine.axes import DeclaredAxis, Gains, contact_of, is_known, sides_of
 from smfe.diagnosis.machine.family import MachineOfAxes
@@ -57,10 +58,10 @@ def machine_family(
         top=modes.band[1],
     )
     family = family.with_errors()
-    return settled(replace(family, conditions=tuple(_as_linearised(c) for c in family.conditions)))
+    return settled(replace(family, conditions=tuple(_as_linearised(c, declared) for c in family.conditions)))
 
 
-def _as_linearised(condition: Condition) -> Condition:
+def _as_linearised(condition: Condition, axes: Mapping[str, DeclaredAxis]) -> Condition:
     """Return a condition that a linearised machine is compared with.
 
     Hits are no small vibration: what friction and joints do to each column beyond is an error all its lines share.
@@ -73,9 +74,28 @@ def _as_linearised(condition: Condition) -> Condition:
         more * np.array([e == axis for _, e in excited.entries])
         for axis in dict.fromkeys(e for _, e in excited.entries)
     ]
-    shared = np.concatenate([*([] if excited.shared is None else [excited.shared]), *apart])
+    aside = [left_aside(excited, a, axis) for a, axis in axes.items() if excited.method == "hammer"]
+    shared = np.concatenate([*([] if excited.shared is None else [excited.shared]), *apart, *aside])
     data = replace(excited, std=np.hypot(excited.std, RULES.floor * np.abs(known)), shared=shared)
     return replace(condition, data=data, observed=data.whitened(known))
+
+
+def left_aside(excited: Excited, axis: str, declared: DeclaredAxis) -> Complex:
+    """Return what hits along an axis do that leave its slide aside, as an error of `Excited.shared`, (0 or 1, f, k).
+
+    Contacts that slip under the blow do not come back: bristles (LuGre) leave ``F^2/(k_c Fs)`` of a peak F behind, of
+    Masing's loops half of it remains: a step, once and not at every cycle as damping does. A slide that moves has
+    nowhere to come back to.
+    """
+    at = [n for n, entry in enumerate(excited.entries) if entry == (axis, axis)]
+    if not at or excited.feed.get(axis, 0.0):
+        return np.zeros((0, *excited.std.shape), dtype=complex)
+    impulse = abs(excited.impulses.get(axis, excited.level))
+    peak = 0.5 * np.pi * impulse / excited.duration
+    step = peak**2 * declared.aside
+    out = np.zeros((1, *excited.std.shape), dtype=complex)
+    out[0, :, at[0]] = step / impulse / (2j * np.pi * excited.frequency)
+    return out
 
 
 def _declared(name: str, axis: GivenAxis, count: int) -> DeclaredAxis:

@@ -57,6 +57,19 @@ class DeclaredAxis:
         """Whether the guideway holds the slide at rest: there is dry friction."""
         return self.friction is not None and max(s.static for s in self.friction) > 0.0
 
+    @property
+    def softness(self) -> float:
+        """Compliance of a contact that sticks [m/N]."""
+        assert self.friction is not None
+        return RULES.presliding / max(s.static for s in self.friction) if self.contact is None else 1.0 / self.contact
+
+    @property
+    def aside(self) -> float:
+        """Displacement that a blow leaves behind at rest, over the square of its peak, ``1/(k_c Fs)`` [m/N^2]."""
+        if self.friction is None or not self.sticks:
+            return RULES.aside
+        return self.softness / max(s.static for s in self.friction)
+
 
 def sides_of(law: FrictionLaw | MemoryLaw) -> tuple[Side, Side]:
     """Return the Stribeck curves of a friction law, forth and back."""
@@ -143,7 +156,7 @@ def _of_guideway(axis: str, declared: DeclaredAxis) -> list[Parameter]:
         loose = RULES.presliding
         found.append(Parameter(f"loose_{axis}", "um", 0.5 * loose, 0.1 * loose, 0.05 * loose, 5.0 * loose, loose, 1e6))
         return found
-    soft = RULES.presliding / max(s.static for s in sides) if declared.contact is None else 1.0 / declared.contact
+    soft = declared.softness
     more = (1e-3 * soft, 50.0 * soft, RULES.contact_spread * soft, 1e9)
     found.append(Parameter(f"contact_{axis}", "um/kN", soft, 0.1 * soft, *more))
     level = Parameter(f"friction_{axis}", "%", 0.0, 0.05, -1.0, 5.0, RULES.friction, 100.0)

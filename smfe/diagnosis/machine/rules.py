@@ -29,6 +29,9 @@ class MachineRules:
     all that there is, and a second law what the first, with one stiffness a hit, leaves."""
     slowest: float = 0.2  # speed over the feed to which hits slow a slide down, at the least
     slip: float = 0.3  # share of a contact's stiffness that a hit of 1 N s takes: prior standard deviation
+    aside: float = 8e-12
+    """Displacement that a blow leaves behind at rest, over the square of its peak [m/N^2], of friction that nobody
+    declared: that of 1 kN which comes loose over 8 um."""
     above: float = 0.03
     """Flexibility of modes above the band over that of the softest mode: prior standard deviation."""
     viscous_share: float = 0.05  # viscous friction that nobody states, over the velocity gain: its standard deviation
@@ -53,10 +56,12 @@ class MachineRules:
     temperatures: tuple[float, ...] = (1000.0, 30.0, 1.0)  # by which the squares of the data are divided
     shares: tuple[float, ...] = (1.0, 0.4)  # of the momenta that the mass at the tool suggests, with which fits begin
     near: float = 0.05  # misfit beyond noise over what the data are beyond it, below which no sign is wrong
+    near_enough: float = 0.1  # the same, at the first temperature, of a start beside which no other is followed
     damping: float = 0.01  # of the first step, over the diagonal of the normal equations
     most_steps: int = 30  # at one temperature
     most_dampings: int = 8  # that are tried in a step
     little_progress: float = 0.003  # relative decrease of the misfit below which a temperature is done with
+    little_decrease: float = 0.5  # the same of the misfit itself: standard deviations of priors, and of data so heated
 
 
 RULES = MachineRules()

@@ -26,21 +26,26 @@ def settled(family: MachineOfAxes) -> MachineOfAxes:
     Where no fit that holds what was declared comes near the data, what was declared is let go, and friction of
     guideways of which nothing was declared is fitted with all else: without it modes and drives go far astray. What
     nobody declared is then expected where it is with friction: priors about where it went without would force the
-    gains away in every later fit, and a wrong gain be named to bring them back.
+    gains away in every later fit, and a wrong gain be named to bring them back. So would priors about where damping and
+    contacts of guideways go to beside a gain that is declared wrongly, where other values of what was declared explain
+    all.
     """
     few = _one_each(family.conditions)
     sure = {f.name: min(RULES.sure, getattr(family.tolerances, f.name)) for f in fields(Tolerances)}
     held = Model(replace(family, conditions=few, proposals=(), tolerances=Tolerances(**sure)), few)
     target = Target({r: c.observed for r, c in enumerate(few) if c.observed is not None}, held.null())
-    u, cost = _descended(held, target, ())
+    warm, u, cost = _descended(held, target, ())
     near = _near(target, cost)
     best, begin, with_cause, least = held.values(u), {}, dict[str, dict[str, float]](), np.inf
+    loose = Model(replace(family, conditions=few, proposals=()), few, released=[p.name for p in family.nuisances])
+    if near and cost > _noisy(target):
+        v, least = _cooled(loose, target, warm, ())
+        best = loose.values(v) if least <= _noisy(target) else best
     if not near:
-        loose = Model(replace(family, conditions=few, proposals=()), few, released=[p.name for p in family.nuisances])
         friction = [k for k, c in enumerate(held.causes) if c.id == "guideway_friction"]
         for k in friction:
             begin = {p.name: held.values(u)[p.name] for p in family.nuisances}
-            v, cost = _descended(held, target, (k,))
+            _, v, cost = _descended(held, target, (k,))
             if not _near(target, cost):
                 v, cost = _at_temperature(loose, target, v, 1.0, (k,))
             with_cause[held.causes[k].key] = held.values(v)
@@ -56,10 +61,16 @@ def settled(family: MachineOfAxes) -> MachineOfAxes:
     return replace(family, at=start, first=begin, with_cause=with_cause, without=(*family.without, *gross))
 
 
-def _near(target: Target, cost: float) -> bool:
+def _near(target: Target, cost: float, share: float = RULES.near) -> bool:
     """Whether a misfit is nearly that of noise, next to the data."""
     noise = sum(y.size for y in target.observed.values())
-    return cost - noise < RULES.near * (sum(float(y @ y) for y in target.observed.values()) - noise)
+    return cost - noise < share * (sum(float(y @ y) for y in target.observed.values()) - noise)
+
+
+def _noisy(target: Target) -> float:
+    """Misfit that noise hardly exceeds."""
+    values = sum(y.size for y in target.observed.values())
+    return float(values + 4.0 * np.sqrt(2.0 * values))
 
 
 def _one_each(conditions: tuple[Condition, ...]) -> tuple[Condition, ...]:
@@ -73,21 +84,32 @@ def _one_each(conditions: tuple[Condition, ...]) -> tuple[Condition, ...]:
     return tuple(lowest.values())
 
 
-def _descended(model: Model, target: Target, causes: tuple[int, ...]) -> tuple[Real, float]:
-    """Return scaled values near the optimum of a hypothesis, by the best of some starts, and their misfit."""
-    first, *others = RULES.temperatures
+def _descended(model: Model, target: Target, causes: tuple[int, ...]) -> tuple[Real, Real, float]:
+    """Return scaled values near the optimum of a hypothesis, and their misfit, by the best of some starts.
+
+    The values come first as the first temperature has them. A start that leads near the data is enough.
+    """
+    first = RULES.temperatures[0]
     moments = [j for j, name in enumerate(model.names) if name.startswith("momentum_")]
     begun = model.null()
     for k in causes:
         mine = model.of_cause[k]
         begun[mine] = (np.array(model.causes[k].starts[0]) - model.start[mine]) / model.scale[mine]
-    tried = []
+    tried: list[tuple[Real, float]] = []
     for share in RULES.shares:
         u = begun.copy()
         u[moments] = (share - 1.0) * model.start[moments] / model.scale[moments]
         tried.append(_at_temperature(model, target, u, first, causes))
-    u, cost = min(tried, key=lambda one: one[1])
-    for temperature in others:
+        if _near(target, first * tried[-1][1], RULES.near_enough):
+            break
+    warm = min(tried, key=lambda one: one[1])[0]
+    return warm, *_cooled(model, target, warm, causes)
+
+
+def _cooled(model: Model, target: Target, u: Real, causes: tuple[int, ...]) -> tuple[Real, float]:
+    """Descend from values of the first temperature through the others."""
+    cost = np.inf
+    for temperature in RULES.temperatures[1:]:
         u, cost = _at_temperature(model, target, u, temperature, causes)
     return u, cost
 
@@ -122,6 +144,6 @@ def _at_temperature(
         if not cost < before:
             return u, before
         u, damping = trial, 0.2 * damping
-        if cost > (1.0 - RULES.little_progress) * before:
+        if before - cost < max(RULES.little_progress * before, RULES.little_decrease):
             break
     return u, cost
