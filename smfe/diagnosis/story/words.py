@@ -81,6 +81,8 @@ PARAMETERS = {
     "cubic_stiffness": "cubic stiffness",
     "gap_share": "share of the stiffness that has play",
     "gap": "play",
+    "coulomb_error": "declared sliding friction",
+    "static_error": "declared static friction",
     "Kp_error": "velocity gain Kp",
     "Ti_error": "integral time Ti",
     "Kv_error": "position gain Kv",
