@@ -76,6 +76,9 @@ NEVER_RUN: dict[str, tuple[str, ...]] = {
 }
 """Folders of which a diagnosis of a family runs no function: what changes there leaves its answers as they are."""
 
+TELLS = ("diagnosis/story",)
+"""Folders that put what was found into words and figures, and find nothing."""
+
 AGAIN = 0.2
 """CPU seconds after which who has not given up is told so again."""
 
@@ -157,7 +160,8 @@ def diagnosing(family: str) -> list[Path]:
     """Return the files of the diagnosis of a family and of the physics below it."""
     root = Path(smfe.__file__).parents[1]
     every = [p for place in ("process", "stability", "smfe/diagnosis") for p in sorted((root / place).rglob("*.py"))]
-    never = [root / ("smfe" if n.startswith("diagnosis") else "") / n for n in NEVER_RUN.get(family, ())]
+    aside = (*TELLS, *NEVER_RUN.get(family, ()))
+    never = [root / ("smfe" if n.startswith("diagnosis") else "") / n for n in aside]
     return [p for p in every if not set(never) & set(p.parents)]
 
 
