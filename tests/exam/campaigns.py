@@ -76,8 +76,9 @@ NEVER_RUN: dict[str, tuple[str, ...]] = {
 }
 """Folders of which a diagnosis of a family runs no function: what changes there leaves its answers as they are."""
 
-TELLS = ("diagnosis/story",)
-"""Folders that put what was found into words and figures, and find nothing."""
+DECIDES = ("millimetres.py",)
+"""Files of `diagnosis/story` that have a say in what is found: it counts by the depths that it costs. The others put
+what was found into words and figures."""
 
 AGAIN = 0.2
 """CPU seconds after which who has not given up is told so again."""
@@ -160,9 +161,10 @@ def diagnosing(family: str) -> list[Path]:
     """Return the files of the diagnosis of a family and of the physics below it."""
     root = Path(smfe.__file__).parents[1]
     every = [p for place in ("process", "stability", "smfe/diagnosis") for p in sorted((root / place).rglob("*.py"))]
-    aside = (*TELLS, *NEVER_RUN.get(family, ()))
-    never = [root / ("smfe" if n.startswith("diagnosis") else "") / n for n in aside]
-    return [p for p in every if not set(never) & set(p.parents)]
+    never = [root / ("smfe" if n.startswith("diagnosis") else "") / n for n in NEVER_RUN.get(family, ())]
+    return [
+        p for p in every if not (set(never) & set(p.parents) or (p.parent.name == "story" and p.name not in DECIDES))
+    ]
 
 
 def meaning(source: str) -> str:
