@@ -168,7 +168,8 @@ def _friction(family: Family, finding: Finding) -> Friction | None:
     baseline = family.baseline
     feeds = [abs(float(c.settings.get("feed", 0.0))) for c in family.conditions]
     fastest = max(feeds, default=0.0)
-    known = {p.name: p for c in family.causes for p in c.parameters}
+    # A declared force that is another one is named as friction, too.
+    known = {p.name: p for p in (*family.nuisances, *(p for c in family.causes for p in c.parameters))}
     found = [(known[e.name], e) for c in finding.causes if c.id == "guideway_friction" for e in c.parameters]
     low, high = (
         {p.name: min(max(x / p.shown, p.low), p.high) for p, x in ((p, getattr(e, end)) for p, e in found)}

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import ClassVar, NamedTuple
@@ -28,7 +28,7 @@ from process.simulation.problem import MachineRun
 from process.types import Complex, Real
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Effective
 from smfe.diagnosis.frf.causes import sensor_causes
-from smfe.diagnosis.frf.noise import Excited, excited_of, kept, scatter_of, smooth_errors
+from smfe.diagnosis.frf.noise import Excited, Hits, excited_of, kept, scatter_of, smooth_errors
 from smfe.diagnosis.frf.rules import RULES
 from smfe.diagnosis.frf.workshop import errors_along_axis
 from smfe.diagnosis.inference.fit import Target, plausibly, residuals
@@ -310,37 +310,105 @@ def as_hit(family: MachineFrfs, discrepancy: float, values: Values | None = None
     smoothly by the relative `discrepancy` (rms).
     """
     if values is None:
-        # Friction of another level than is declared would be made the declared one by other pulls.
-        levels = (False, True) if "coulomb" in family.baseline.known else (False,)
-        every = [_put_right(family, discrepancy, n) for n in levels]
-        values = min(every, key=lambda tried: tried[0])[1]
+        left, values = _put_right(family, discrepancy)
+        if left > RULES.noise_alone and (other := _other_friction(family)) is not None:
+            # What was put right with another friction would show that: it must explain nearly all that is left.
+            with_other, found_with = _put_right(family, discrepancy, other)
+            least = left if "coulomb" in family.baseline.known else RULES.nearly_all * left
+            values = found_with if with_other < least else values
     found = tuple(_of_mean_hit(family, c, values, discrepancy) for c in family.conditions)
     return replace(family, conditions=found, measured=family.conditions, discrepancy=discrepancy)
 
 
-def _put_right(family: MachineFrfs, discrepancy: float, free: bool) -> tuple[float, Values]:
+def _put_right(family: MachineFrfs, discrepancy: float, friction: Values | None = None) -> tuple[float, Values]:
     """Return what plausible values leave of hits that were put right with such values, per value, and these.
 
-    The level of friction is `free` before: what was put right with a level has no say in it, and would lead away step
-    by step.
+    Another `friction` than the baseline's stays as it is: what was put right with it has no say in it, and would lead
+    away step by step.
     """
-    _, first = _plausible_values(family, free)
-    return _plausible_values(as_hit(family, discrepancy, first), False, first)
+    first = friction if friction is not None else _plausible_values(family)[1]
+    return _plausible_values(as_hit(family, discrepancy, first), friction)
 
 
-def _plausible_values(family: MachineFrfs, free: bool, known: Values | None = None) -> tuple[float, Values]:
-    """Return what values leave that data move plausibly, and these, with the level of friction free or `known`."""
+def _plausible_values(
+    family: MachineFrfs, known: Values | None = None, causes: Sequence[int] = (), rows: Collection[int] | None = None
+) -> tuple[float, Values]:
+    """Return what values leave, per value, that data of some `rows` (default: all) move plausibly, and these.
+
+    Of the `known` values those of causes stay, or are where a fit of some `causes` begins. What predicts other rows not
+    at all (an unstable servo) leaves infinitely much.
+    """
     model = Model(family, family.conditions)
     data = {r: np.asarray(c.observed) for r, c in enumerate(family.conditions) if c.observed is not None}
-    level = [k for k, c in enumerate(model.causes) if c.key == "guideway_friction/level"]
-    target = Target(data, model.null())
-    start = model.scaled(
-        {p.name: (known or {}).get(p.name, p.start) for k in level for p in model.causes[k].parameters}
-    )
-    u = plausibly(model, target, level if free else (), start)
-    found = residuals(model, target, u)
-    left = np.inf if found is None else sum(float(x @ x) for x in found.values()) / sum(y.size for y in data.values())
+    target = Target({r: y for r, y in data.items() if rows is None or r in rows}, model.null())
+    own = [p.name for c in model.causes for p in c.parameters]
+    u = plausibly(model, target, causes, model.scaled({n: v for n, v in (known or {}).items() if n in own}))
+    found, count = residuals(model, Target(data, target.centre), u), sum(y.size for y in target.observed.values())
+    left = np.inf if found is None else sum(float(found[r] @ found[r]) for r in target.observed) / count
     return left, model.values(u)
+
+
+def _other_friction(family: MachineFrfs) -> Values | None:
+    """Return values with the friction that the hits show; None where nothing shows any.
+
+    Hits in motion find no pull of the drive, but hardly the level of the friction, in which hits at rest let go. That
+    is the one with which these leave least, each as it came and with the pull that explains it best: of mean hits that
+    were put right with too little friction, pulls have taken the rest.
+    """
+    name = "guideway_friction/" + ("level" if "coulomb" in family.baseline.known else "stribeck")
+    causes, feeds = family.causes, [excited_of(c).feed.get(family.baseline.axis, 0.0) for c in family.conditions]
+    index = next((k for k, c in enumerate(causes) if c.key == name), None)
+    moving = [r for r, c in enumerate(family.conditions) if feeds[r] != 0.0 and c.observed is not None]
+    still = [c for c, feed in zip(family.conditions, feeds, strict=True) if feed == 0.0 and excited_of(c).hits]
+    if index is None or (name.endswith("stribeck") and not (moving and still)):
+        return None
+    parameters = causes[index].parameters
+    begin = [dict(zip((p.name for p in parameters), start, strict=True)) for start in causes[index].starts or ((0.0,),)]
+    fits = [_plausible_values(family, start, [index], moving or None) for start in begin]
+    least, values = min(fits, key=lambda found: found[0])
+    if not still or math.isinf(least):
+        return None if math.isinf(least) else values
+    level = parameters[0]
+    tried: dict[float, float] = {}
+
+    def left(force: float) -> float:
+        if force not in tried:
+            with_it = {**values, level.name: force}
+            tried[force] = sum(s.left for c in still for s in _states(family, c, with_it))
+        return tried[force]
+
+    ladder = [float(x) for x in np.linspace(-0.5, 1.0, 7)]
+    if name.endswith("stribeck"):
+        load = begin[0][level.name]
+        ladder = [0.0, *(float(load * x) for x in 2.0 ** np.arange(-3.0, 3.0))]
+    n = int(np.argmin([left(x) for x in ladder]))
+    around = ladder[max(n - 1, 0)], ladder[min(n + 1, len(ladder) - 1)]
+    known = RULES.level_known * (around[1] - around[0])
+    minimize_scalar(left, bounds=around, method="bounded", options={"xatol": known, "maxiter": RULES.pulls})
+    return {**values, level.name: min(tried, key=lambda x: tried[x])}
+
+
+def _states(family: MachineFrfs, condition: Condition, values: Values) -> list[State]:
+    """Return the states at rest in which the hits of a condition find what they did."""
+    excited = excited_of(condition)
+    assert excited.hits is not None
+    found = family.baseline.effective(values, condition.settings, 0.0)
+    machine, held = family.simulated(found), min(side.static for side in found.friction)
+    return [
+        at_rest(hit, held, y, excited.std)
+        for hit, y in zip(_hits_of(machine, excited), excited.hits.compliance, strict=True)
+    ]
+
+
+def _hits_of(machine: SimulatedMachine, excited: Excited) -> list[Callable[[float], Complex]]:
+    """Return for each hit that was recorded what a machine finds of it with a pull of its drive."""
+    assert excited.hits is not None
+    lines = excited.frequency.tobytes()
+    return [partial(machine.hit, excited, p, _spectrum(p, lines)) for p in _pulses(excited.hits)]
+
+
+def _pulses(hits: Hits) -> list[Recorded]:
+    return [Recorded(tuple(f.tolist()), hits.rate) for f in hits.force]
 
 
 def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, discrepancy: float) -> Condition:
@@ -356,16 +424,12 @@ def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, disc
         return replace(condition, data=wider, observed=wider.whitened(seen))
     feed = excited.feed.get(baseline.axis, 0.0)
     found = baseline.effective(values, condition.settings, feed)
-    pulses = [Recorded(tuple(f.tolist()), hits.rate) for f in hits.force]
-    spectra = [_spectrum(p, excited.frequency.tobytes()) for p in pulses]
+    spectra = [_spectrum(p, excited.frequency.tobytes()) for p in _pulses(hits)]
     weight = np.abs(np.array(spectra)) ** 2
     weight = (weight / weight.sum(axis=0))[:, :, None]
     held = min(side.static for side in found.friction) if feed == 0.0 else 0.0
 
-    def hits_of(machine: SimulatedMachine) -> list[Callable[[float], Complex]]:
-        return [partial(machine.hit, excited, p, f) for p, f in zip(pulses, spectra, strict=True)]
-
-    machine = family.simulated(found)
+    hits_of, machine = partial(_hits_of, excited=excited), family.simulated(found)
     states = [at_rest(h, held, y, excited.std) for h, y in zip(hits_of(machine), hits.compliance, strict=True)]
     if held > 0.0 and sum(s.left for s in states) >= RULES.well * hits.compliance.size:
         found = found._replace(stiffness=_local_stiffness(family, found, hits_of, held, hits.compliance, excited.std))

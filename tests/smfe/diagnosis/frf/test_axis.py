@@ -15,11 +15,13 @@ from truth.campaign import Design, measure, reduce
 from truth.chain import Chain
 
 from process.drive.servo import Servo
-from smfe.diagnosis.frf.axis import MachineFrfs, Recorded, SimulatedMachine, as_hit, at_rest
+from smfe.diagnosis.consequences import _friction
+from smfe.diagnosis.frf.axis import MachineFrfs, Recorded, SimulatedMachine, _other_friction, as_hit, at_rest
 from smfe.diagnosis.frf.axis_baseline import acting
 from smfe.diagnosis.frf.noise import Excited, Hits, compared, degrees_of_freedom_of, scatter_of, smooth_errors
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.judgement.diagnose import diagnose
+from smfe.diagnosis.judgement.finding import Estimate, Finding, FoundCause
 
 LINES = np.arange(10.0, 120.0, 2.0)
 MOVING = 500.0 * MM_MIN
@@ -213,6 +215,29 @@ def test_hits_at_rest_tell_what_the_drive_pulled_as_they_came():
             far[share].append(np.linalg.norm(away) / np.linalg.norm(measured))
     assert max(far[0.0]) > 0.2
     assert max(far[1.0]) < 0.05
+
+
+@pytest.mark.slow
+def test_hits_show_the_friction_that_nobody_declared_by_how_they_came_in_motion_and_at_rest():
+    """In motion all but its level, 0 to 170 N; at rest that, with any pull of the drive."""
+    truth = Truth(friction=Friction(coulomb=(41.4, 41.4), static=(86.0, 86.0)))
+    plan = Plan("hammer", 500.0, 100.0, "K2"), Plan("hammer", 250.0, 100.0, "K2"), Plan("hammer", 0.0, 400.0, "K2")
+    records = measure(truth, Design("three", plan), 3, Chain(snr=60.0, bits=24, double=0.0))
+    found = MachineFrfs(baseline("viscous"), tuple(condition_of(r, str(n)) for n, r in enumerate(records)))
+    shown = _other_friction(found)
+    assert shown is not None
+    assert shown["stribeck_coulomb"] + shown["static_rise"] == pytest.approx(86.0, rel=0.03)
+    assert shown["static_rise"] == pytest.approx(44.6, rel=0.1)
+
+
+def test_a_declared_force_of_friction_that_is_another_one_is_told_as_friction():
+    found = MachineFrfs(baseline("stribeck"), (nominal(MOVING),))
+    off = (Estimate("static_error", 16.0, 10.0, 20.0, "%"),)
+    cause = FoundCause("guideway_friction", "", "friction", "physics", off, 100.0, None, None)
+    finding = Finding("named", "it is", (cause,), values=values_of(found) | {"static_error": 0.16})
+    brakes = _friction(found, finding)
+    assert brakes is not None
+    assert [brakes.rest, *brakes.rest_interval] == pytest.approx([84.0 * x for x in (1.16, 1.1, 1.2)])
 
 
 def test_what_is_softer_at_one_place_is_not_taken_for_what_the_drive_pulled_there():
