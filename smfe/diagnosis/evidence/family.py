@@ -7,7 +7,7 @@ what it is: a compliance, the drive force of a move, a limit depth. So a cause i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,8 +28,6 @@ class AxisEvidence(MachineFrfs):
 
     moves: Moves | None = None
     cuts: Cuts | None = None
-    sliding: Values = field(default_factory=dict)
-    """Friction that the drive records show by themselves, where a fit may begin (SI); none: they show none."""
 
     @property
     def frfs(self) -> MachineFrfs:
@@ -49,10 +47,6 @@ class AxisEvidence(MachineFrfs):
         of_records = () if self.moves is None else self.moves.causes
         more = (c for c in of_records if c.key not in self.without and c.id not in self.without)
         return (*(self._begun(c) for c in self.frfs.causes), *more)
-
-    def _begun(self, cause: Cause) -> Cause:
-        """Return a cause with the friction that the drive records show at once, where it is that friction."""
-        return replace(cause, begin=self.sliding) if "stribeck_coulomb" in {p.name for p in cause.parameters} else cause
 
     def predict(self, condition: Condition, values: Values) -> Real:
         """Return what a set of values predicts of a condition, whitened like its data."""
@@ -124,7 +118,7 @@ def with_evidence(
     conditions = (*family.conditions, *further)
     parts = family.baseline, conditions, family.proposals, family.without, family.measured, family.discrepancy
     sliding = {} if moves is None else moves.sliding()
-    whole = AxisEvidence(*parts, moves=moves, cuts=cuts, sliding=sliding)
+    whole = AxisEvidence(*parts, moves=moves, cuts=cuts, sliding=sliding or family.sliding)
     if "stribeck_coulomb" not in {p.name for c in whole.causes for p in c.parameters} or not sliding:
         return whole
     start = {p.name: p.start for p in (*whole.nuisances, *(p for c in whole.causes for p in c.parameters))}

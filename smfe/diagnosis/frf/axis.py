@@ -50,6 +50,8 @@ class MachineFrfs(Abilities):
     without: Sequence[str] = ()  # keys of causes that are left out of the catalogue
     measured: tuple[Condition, ...] = ()  # what `conditions` were before `as_hit`
     discrepancy: float = 0.0  # see `as_hit`
+    sliding: Values = field(default_factory=dict)
+    """Values with friction that the data show by themselves, where a fit may begin (SI); none: they show none."""
     _kept: dict[tuple[object, Effective], Complex] = field(default_factory=dict, repr=False, compare=False)
     _machines: dict[Effective, SimulatedMachine] = field(default_factory=dict, repr=False, compare=False)
 
@@ -66,7 +68,11 @@ class MachineFrfs(Abilities):
         data = [excited_of(c) for c in self.conditions]
         band = (min(float(d.frequency[0]) for d in data), max(float(d.frequency[-1]) for d in data))
         every = (*self.baseline.causes(), *sensor_causes(band, self.baseline.drive.stiffness))
-        return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
+        return tuple(self._begun(c) for c in every if c.key not in self.without and c.id not in self.without)
+
+    def _begun(self, cause: Cause) -> Cause:
+        """Return a cause with the friction that the data show at once, where it is that friction."""
+        return replace(cause, begin=self.sliding) if "stribeck_coulomb" in {p.name for p in cause.parameters} else cause
 
     def condition_degrees_of_freedom(self, condition: Condition) -> float:
         """Degrees of freedom with which the noise of a measured compliance is known."""
@@ -314,8 +320,11 @@ def as_hit(family: MachineFrfs, discrepancy: float, values: Values | None = None
         if left > RULES.noise_alone and (other := _other_friction(family)) is not None:
             # What was put right with another friction would show that: it must explain nearly all that is left.
             with_other, found_with = _put_right(family, discrepancy, other)
-            least = left if "coulomb" in family.baseline.known else RULES.nearly_all * left
-            values = found_with if with_other < least else values
+            declared = "coulomb" in family.baseline.known
+            if with_other < (left if declared else RULES.nearly_all * left):
+                values = found_with
+                if not declared:
+                    family = replace(family, sliding=_of_stribeck(family, values))
     found = tuple(_of_mean_hit(family, c, values, discrepancy) for c in family.conditions)
     return replace(family, conditions=found, measured=family.conditions, discrepancy=discrepancy)
 
@@ -386,6 +395,12 @@ def _other_friction(family: MachineFrfs) -> Values | None:
     known = RULES.level_known * (around[1] - around[0])
     minimize_scalar(left, bounds=around, method="bounded", options={"xatol": known, "maxiter": RULES.pulls})
     return {**values, level.name: min(tried, key=lambda x: tried[x])}
+
+
+def _of_stribeck(family: MachineFrfs, values: Values) -> Values:
+    """Return the values of nuisances and of the friction that nobody declared."""
+    (cause,) = (c for c in family.causes if c.key == "guideway_friction/stribeck")
+    return {p.name: values[p.name] for p in (*family.nuisances, *cause.parameters)}
 
 
 def _states(family: MachineFrfs, condition: Condition, values: Values) -> list[State]:

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 import xarray as xr
-from exam.records import baseline, condition_of, family, sampled
+from exam.records import DISCREPANCY, baseline, condition_of, family, sampled
 from scipy import stats
 from truth.axis import MM_MIN, RATE, Friction, Setting, Truth, simulate
 from truth.blind import draw
@@ -16,7 +16,7 @@ from truth.chain import Chain
 
 from process.drive.servo import Servo
 from smfe.diagnosis.consequences import _friction
-from smfe.diagnosis.frf.axis import MachineFrfs, Recorded, SimulatedMachine, _other_friction, as_hit, at_rest
+from smfe.diagnosis.frf.axis import MachineFrfs, Recorded, SimulatedMachine, as_hit, at_rest
 from smfe.diagnosis.frf.axis_baseline import acting
 from smfe.diagnosis.frf.noise import Excited, Hits, compared, degrees_of_freedom_of, scatter_of, smooth_errors
 from smfe.diagnosis.inference.problem import Condition
@@ -224,8 +224,9 @@ def test_hits_show_the_friction_that_nobody_declared_by_how_they_came_in_motion_
     plan = Plan("hammer", 500.0, 100.0, "K2"), Plan("hammer", 250.0, 100.0, "K2"), Plan("hammer", 0.0, 400.0, "K2")
     records = measure(truth, Design("three", plan), 3, Chain(snr=60.0, bits=24, double=0.0))
     found = MachineFrfs(baseline("viscous"), tuple(condition_of(r, str(n)) for n, r in enumerate(records)))
-    shown = _other_friction(found)
-    assert shown is not None
+    (cause,) = (c for c in as_hit(found, DISCREPANCY).causes if c.begin)
+    shown = cause.begin
+    assert cause.key == "guideway_friction/stribeck"
     assert shown["stribeck_coulomb"] + shown["static_rise"] == pytest.approx(86.0, rel=0.03)
     assert shown["static_rise"] == pytest.approx(44.6, rel=0.1)
 
