@@ -386,15 +386,17 @@ def _other_friction(family: MachineFrfs) -> Values | None:
             tried[force] = sum(s.left for c in still for s in _states(family, c, with_it))
         return tried[force]
 
-    ladder = [float(x) for x in np.linspace(-0.5, 1.0, 7)]
+    ladder = RULES.levels
     if name.endswith("stribeck"):
-        load = begin[0][level.name]
-        ladder = [0.0, *(float(load * x) for x in 2.0 ** np.arange(-3.0, 3.0))]
+        ladder = tuple(begin[0][level.name] * x for x in RULES.loads)
     n = int(np.argmin([left(x) for x in ladder]))
     around = ladder[max(n - 1, 0)], ladder[min(n + 1, len(ladder) - 1)]
     known = RULES.level_known * (around[1] - around[0])
     minimize_scalar(left, bounds=around, method="bounded", options={"xatol": known, "maxiter": RULES.pulls})
-    return {**values, level.name: min(tried, key=lambda x: tried[x])}
+    best = min(tried, key=lambda x: tried[x])
+    # A level within what declared forces may be off is no other friction.
+    declared = not name.endswith("stribeck") and abs(best) < 2.0 * RULES.declared_friction
+    return None if declared else {**values, level.name: best}
 
 
 def _of_stribeck(family: MachineFrfs, values: Values) -> Values:
