@@ -211,10 +211,14 @@ def _secants(model: Model, target: Target, fit: Fit, k: int, basis: Real) -> lis
 
 
 def _nothing(model: Model, fit: Fit, rows: Sequence[int], mine: Index) -> bool:
-    """Whether steps of some parameters together, either way, leave every prediction exactly as it is."""
+    """Whether steps of some parameters together, either way, leave every prediction exactly as it is.
+
+    No two of the steps are alike: what one of two does must not be what the other undoes.
+    """
+    steps = np.linspace(1.0, 0.5, mine.size)
     for sign in (1.0, -1.0):
         at = fit.u.copy()
-        at[mine] = np.clip(at[mine] + sign, model.low[mine], model.high[mine])
+        at[mine] = np.clip(at[mine] + sign * steps, model.low[mine], model.high[mine])
         for r in rows:
             before, after = model.predict(r, fit.u), model.predict(r, at)
             if before is None or after is None or not np.array_equal(before, after):

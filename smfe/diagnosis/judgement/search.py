@@ -223,11 +223,9 @@ def _passes(bench: Bench, at: Fit, candidate: Fit, added: tuple[int, ...], limit
     reason = ""
     if bound := on_bound(bench.model, candidate, added):
         reason = f"{bound} ends on the limit of what is physical"
-    elif usual:
-        pass
-    elif gain is None:
+    elif gain is None and not usual:
         reason = "no condition can be held out that would test it"
-    elif not gain.proven:
+    elif gain is not None and not gain.proven and not usual:
         reason = (
             f"gain on held-out conditions {gain.db:.1f} dB, {gain.low:.1f} dB at the least; needed are "
             f"{gain.needed:g} dB, and more than 0 dB at the least"
