@@ -589,6 +589,22 @@ def test_what_never_acts_is_linearised_once_however_many_parameters_it_has():
     assert not np.any(one.columns)
 
 
+def test_effects_that_undo_each_other_in_equal_steps_are_not_nothing():
+    """Two parameters without slopes at their null, of which each shows what the other hides where both are as large."""
+
+    @dataclass(frozen=True)
+    class Opposed(Linear):
+        def predict(self, condition, values):
+            one, other = (values.get(f"two.{n}", 0.0) for n in (0, 1))
+            return Linear.predict(self, condition, values) + (one**2 - other**2) * BASIS[4]
+
+    family = measured(Opposed(FAMILY.conditions, (cause("two", 2),), {}), {}, 3)
+    model = Model(family, family.conditions)
+    target = Target({r: c.observed for r, c in enumerate(family.conditions)}, model.null())
+    found = tangent(model, target, fit(model, target, (), model.null()), [0]).signatures
+    assert any(np.any(s.columns) for s in found)
+
+
 def test_the_misfit_is_that_of_the_whole_covariance():
     """Squares over ``I +- L L^T`` by its eigenvalues alone, with more rows than columns and with fewer."""
     rng = np.random.default_rng(1)
