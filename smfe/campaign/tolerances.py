@@ -41,6 +41,8 @@ class Tolerances:
         By which the direction of a mode that is declared is off [rad].
     declared_mass : float
         Masses that are declared [1].
+    declared_friction : float
+        Sliding and static friction that are declared of an axis that is hit [1].
     control_gain : float
         Gains of a control [1].
     dead_time : float
@@ -63,6 +65,7 @@ class Tolerances:
     hum: float = 0.01
     mode_direction: float = 2.0 * _DEGREE
     declared_mass: float = 0.1
+    declared_friction: float = 0.02
     control_gain: float = 0.02
     dead_time: float = 1e-4
     coefficients: float = 0.1
@@ -83,6 +86,7 @@ class TolerancesTable(Table):
     hum: q.Share | None = None
     mode_direction: Lean | None = None
     declared_mass: q.Share | None = None
+    declared_friction: q.Share | None = None
     control_gain: q.Share | None = None
     dead_time: q.NoTime | None = None
     material: q.Share | None = None

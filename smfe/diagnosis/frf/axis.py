@@ -398,7 +398,7 @@ def _other_friction(family: MachineFrfs) -> Values | None:
     minimize_scalar(left, bounds=around, method="bounded", options={"xatol": known, "maxiter": RULES.pulls})
     best = min(tried, key=lambda x: tried[x])
     # A level within what declared forces may be off is no other friction.
-    declared = not name.endswith("stribeck") and abs(best) < 2.0 * RULES.declared_friction
+    declared = not name.endswith("stribeck") and abs(best) < 2.0 * family.baseline.tolerances.declared_friction
     return None if declared else {**values, level.name: best}
 
 

@@ -122,11 +122,11 @@ class AxisBaseline:
         found.append(Parameter("contact", "um/kN", soft, 0.2 * soft, *around, 1e9))
         # Sliding and static friction are declared within some per cent each, so that their difference, which damps or
         # feeds vibration in slow motion, is off by several times that.
-        for force, said in (("coulomb", "sliding friction"), ("static", "static friction")):
-            if force in self.known:
-                within = (0.0, 0.02, -0.5, 1.0, RULES.declared_friction)
-                found.append(Parameter(f"{force}_error", "%", *within, 100.0, "guideway_friction", True, said))
         t = self.tolerances
+        for force, said in (("coulomb", "sliding friction"), ("static", "static friction")):
+            if force in self.known and t.declared_friction > 0.0:
+                within = (0.0, 0.02, -0.5, 1.0, t.declared_friction)
+                found.append(Parameter(f"{force}_error", "%", *within, 100.0, "guideway_friction", True, said))
         if self.servos and t.control_gain > 0.0:
             for gain, said in (("Kp", "velocity gain Kp"), ("Ti", "integral time Ti"), ("Kv", "position gain Kv")):
                 known = (t.control_gain, 100.0, "servo_gains", True, said)

@@ -76,7 +76,6 @@ class FrfRules:
     )
     contact_spread: float = 10.0  # prior standard deviation of it, over itself: guideways differ by factors
     contact_loss: float = 1.2e-4  # its damping over its stiffness [s]
-    declared_friction: float = 0.02  # relative standard deviation of sliding and static friction that are declared
     elements: int = 20  # Jenkins elements of a joint with micro-slip
     hit_elements: int = 40  # the same in hits on modes: each that begins to slip bends a slope a little
     steps_a_period: float = 16.0  # of the highest mode that moves a joint in a hit: 1 % of what the joint does

@@ -15,6 +15,7 @@ from truth.campaign import Design, measure, reduce
 from truth.chain import Chain
 
 from process.drive.servo import Servo
+from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.consequences import _friction
 from smfe.diagnosis.frf.axis import MachineFrfs, Recorded, SimulatedMachine, as_hit, at_rest
 from smfe.diagnosis.frf.axis_baseline import acting
@@ -348,6 +349,10 @@ def test_declared_friction_is_known_within_some_per_cent_and_what_it_changes_cou
     found = MachineFrfs(baseline("stribeck"), (condition,))
     given = {p.name: p for p in found.nuisances}
     assert {given[n].given for n in ("coulomb_error", "static_error")} == {"guideway_friction"}
+    assert given["static_error"].prior == 0.02
+    for share in (0.1, 0.0):
+        known = replace(found.baseline, tolerances=Tolerances(declared_friction=share)).nuisances([])
+        assert [p.prior for p in known if p.given == "guideway_friction"] == ([share, share] if share else [])
     values = values_of(found)
     other = values | {"static_error": 0.05, "coulomb_error": -0.05}
     sides = (found.baseline.effective(v, {}, MOVING).friction[0] for v in (values, other))
