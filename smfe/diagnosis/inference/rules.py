@@ -34,11 +34,17 @@ class InferenceRules:
     beyond_belief: float = 10.0
     """Standard deviations of what was declared from which on a bad fit is not where others are begun only."""
     warm: float = 0.01  # share of the misfit to which it is found on the way there
-    foretold: float = 0.3  # share of a step that its slopes may have missed to be kept, corrected
-    cycles: int = 8  # slopes that are taken anew before the trust region takes over
+    cycles: int = 8  # slopes that are taken anew before damped steps take over
     last_cycles: int = 3  # the same after it: it brings a fit near its end, plain steps then end it
     steps: int = 12  # steps with one set of slopes
     fractions: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
+    damping: float = 1e-3  # of the first step along a valley, over the squares of the slopes
+    more_damping: float = 4.0  # times which it is where a step brings nothing or is bent too much
+    less_damping: float = 3.0  # by which it is divided where one serves
+    dampings: int = 8  # that are tried of a step
+    valley_steps: int = 12  # along a valley
+    ahead: float = 0.1  # part of a step over which its bend is seen
+    bent: float = 0.75  # acceleration of a step over half of it that is trusted
     many: int = 1000  # values from which columns of them are made independent by their products
     independent: float = 1e-4  # share of a column that those before it must leave for that
     equivalent: float = 2.0  # chi-square that equivalent parameters may fit worse

@@ -20,16 +20,27 @@ from process.labels import AXES
 from process.types import Complex, Real
 from smfe.diagnosis.frf.causes import OF_DECLARED, RESIDUAL
 from smfe.diagnosis.frf.changed import Changed, Shaken
+from smfe.diagnosis.frf.modal_dynamics import joints
 from smfe.diagnosis.frf.modes import JOINTS, ModalFrfs
 from smfe.diagnosis.frf.noise import Excited, excited_of, kept
 from smfe.diagnosis.frf.rules import RULES as FRF_RULES
-from smfe.diagnosis.frf.workshop import SENSORS, measured
+from smfe.diagnosis.frf.workshop import SENSORS, SensorSlopes, measured, sensor_slopes
 from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
 from smfe.diagnosis.machine.axes import DeclaredAxis, nuisances, slide
 from smfe.diagnosis.machine.causes import axis_causes
 from smfe.diagnosis.machine.dynamics import Slide, moving_compliance, unbounded
 from smfe.diagnosis.machine.rules import RULES
-from smfe.diagnosis.machine.slopes import MOST, STEP, Machine, difference, parts_of, slopes
+from smfe.diagnosis.machine.slopes import (
+    MOST,
+    STEP,
+    Change,
+    Machine,
+    Parts,
+    momentum_of,
+    parts_of_modes,
+    slopes,
+    springs_of,
+)
 
 
 @dataclass(frozen=True)
@@ -145,14 +156,17 @@ class MachineOfAxes(ModalFrfs):
 
     def slide_of(self, a: str, condition: Condition, values: Values) -> Slide:
         """Return the slide of an axis under the settings of a condition."""
+        axis, (feed, name, level) = self.axes[a], self.moved(a, condition)
+        momentum = tuple([values.get(f"momentum_{a}_{r + 1}", 0.0) for r in range(self.model.frequency.size)])
+        return slide(AXES.index(a), a, axis, values, momentum, feed, name, level)
+
+    def moved(self, a: str, condition: Condition) -> tuple[float, str, float]:
+        """Return what a slide depends on of a condition: its feed [m/s], its controller, the level of hits [N s]."""
         axis, name = self.axes[a], str(condition.settings.get("controller", ""))
         hit = isinstance(condition.data, Excited) and condition.data.method == "hammer"
         level = excited_of(condition).level if hit else 0.0
         known = name in axis.controllers or not axis.controllers
-        only = name if known else next(iter(axis.controllers))
-        momentum = tuple([values.get(f"momentum_{a}_{r + 1}", 0.0) for r in range(self.model.frequency.size)])
-        feed = self._feed(condition).get(a, 0.0)
-        return slide(AXES.index(a), a, axis, values, momentum, feed, only, level)
+        return self._feed(condition).get(a, 0.0), name if known else next(iter(axis.controllers)), level
 
     def _feed(self, condition: Condition) -> Mapping[str, float]:
         if isinstance(condition.data, Excited):
@@ -180,38 +194,33 @@ class MachineOfAxes(ModalFrfs):
 
     def _slopes_of(self, condition: Condition, values: Values, parameters: Sequence[Parameter], beside: Beside) -> Real:
         excited = excited_of(condition)
-        frequency, laser = excited.frequency, condition.settings.get("sensor") == "laser"
+        frequency, accelerometer = excited.frequency, condition.settings.get("sensor") != "laser"
         shaken = Shaken(excited.method, excited.level, self._reference)
         here = Machine(self.changed(condition, values), self.slides(condition, values))
-        parts = parts_of(here, frequency, shaken, beside.made)
-        changes, places = [], []
-        for j, (p, low, high) in enumerate(beside.steps):
-            if p.name in SENSORS or not low < high:
-                continue
-            below, above = (beside.machine(condition, values, here, p.name, x) for x in (low, high))
-            if below != above:
-                less, more = (parts_of(one, frequency, shaken, beside.made) for one in (below, above))
-                changes.append(difference(less, more, (high - low) / p.scale))
-                places.append(j)
-        tool = np.zeros((len(parameters), frequency.size, 3, 3), dtype=complex)
-        if changes:
-            at_tool = slopes(parts, changes, frequency)
-            tool[places] = measured(at_tool, frequency, values, accelerometer=not laser)
+        parts = beside.parts(condition, here, frequency, shaken)
+        changes = beside.changes(condition, here, frequency, shaken)
         phi = self.compliance(here.modes, here.slides, frequency, shaken)
-        for j, (p, low, high) in enumerate(beside.steps):
-            if p.name in SENSORS and low < high:
-                seen = [measured(phi, frequency, {**values, p.name: x}, accelerometer=not laser) for x in (low, high)]
-                tool[j] = (seen[1] - seen[0]) * (p.scale / (high - low))
+        tool = beside.sensors.of(phi, frequency, accelerometer)
+        tool *= np.array([p.scale for p in parameters])[:, None, None, None]
+        if changes:
+            at_tool = slopes(parts, list(changes.values()), frequency)
+            tool[list(changes)] = measured(at_tool, frequency, values, accelerometer)
         rows, columns = ([AXES.index(e[k]) for e in excited.entries] for k in (0, 1))
         return excited.whitened_each(tool[:, :, rows, columns]).T
 
 
 @dataclass(frozen=True)
 class Beside:
-    """Machines a small step of each parameter beside some values, those of the modes made once for like conditions."""
+    """Machines a small step of each parameter beside some values.
+
+    What several conditions have in common is made once: the modes at one place, speed and mass at the tool, the slides
+    at one feed under one controller, hit equally hard.
+    """
 
     family: MachineOfAxes
+    values: Values
     steps: Sequence[tuple[Parameter, float, float]]  # with the values below and above
+    sensors: SensorSlopes
     axes: Mapping[str, frozenset[str]]  # parameter -> axes whose slides it changes
     made: dict[Hashable, Any] = field(default_factory=dict)
 
@@ -228,22 +237,110 @@ class Beside:
             momentum = [p.name for p in parameters if p.name.startswith(f"momentum_{a}_")]
             for name in (*(p.name for p in own), *momentum):
                 axes[name] = axes.get(name, frozenset()) | {a}
-        return cls(family, steps, axes)
+        return cls(family, values, steps, sensor_slopes(values, [p.name for p in parameters]), axes)
 
-    def machine(self, condition: Condition, values: Values, here: Machine, name: str, value: float) -> Machine:
-        """Return the machine under a condition, `here` with the values, with another value of one parameter."""
-        at = {**values, name: value}
-        axes = self.axes.get(name)
-        if axes is not None:
-            slides = zip(self.family.axes, here.slides, strict=True)
-            return here._replace(
-                slides=tuple(self.family.slide_of(a, condition, at) if a in axes else s for a, s in slides)
-            )
-        settings = condition.settings
-        like = tuple(settings.get(k) for k in ("position", "order", "spindle_speed", "added_mass", "sensor"))
-        return here._replace(
-            modes=kept(self.made, (name, value, *like), lambda: self.family.changed(condition, at), MOST)
-        )
+    def parts(self, condition: Condition, here: Machine, frequency: Real, shaken: Shaken) -> Parts:
+        """Return the parts of the machine under a condition, `here`."""
+        modes, natural = here.modes, here.modes.frequency
+        of_lines = frequency.tobytes() if modes.mode else b""
+        key = (_like(condition), of_lines)
+        steady = kept(self.made, key, lambda: parts_of_modes(modes, here.slides, frequency), MOST)
+        momentum = kept(self.made, natural, lambda: momentum_of(natural, here.slides), MOST)
+        base = np.array([s.stiffness(2.0 * np.pi * frequency) for s in here.slides]).reshape(-1, len(frequency))
+        return Parts._make([springs_of(modes, shaken), *steady, momentum, base])
+
+    def changes(self, condition: Condition, here: Machine, frequency: Real, shaken: Shaken) -> dict[int, Change]:
+        """Return how the parts of the machine under a condition, `here`, change with each parameter that changes any.
+
+        By the number of the parameter, for a step of its scale.
+        """
+        found: dict[int, Change] = {}
+        moved = {a: self.family.moved(a, condition) for a in self.family.axes}
+        for j, (p, low, high) in enumerate(self.steps):
+            if p.name in SENSORS or not low < high:
+                continue
+            if p.name in self.axes:
+                change = self._by_slides(condition, here, frequency, j, moved)
+            else:
+                change = self._by_modes(condition, here, frequency, shaken, j)
+            if change is not None:
+                found[j] = change
+        return found
+
+    def _by_slides(
+        self,
+        condition: Condition,
+        here: Machine,
+        frequency: Real,
+        j: int,
+        moved: Mapping[str, tuple[float, str, float]],
+    ) -> Change | None:
+        """Return how the parts change with a parameter of slides; None for not at all."""
+        (p, low, high), both = self.steps[j], list[tuple[int, Slide, Slide]]()
+        for n, a in enumerate(self.family.axes):
+            if a not in self.axes[p.name]:
+                continue
+
+            def ends(a: str = a) -> tuple[Slide, ...]:
+                return tuple([self.family.slide_of(a, condition, {**self.values, p.name: x}) for x in (low, high)])
+
+            below, above = kept(self.made, (j, a, *moved[a]), ends, MOST)
+            if below != above:
+                both.append((n, below, above))
+        if not both:
+            return None
+        change: Change = [None] * len(Parts._fields)
+        per = p.scale / (high - low)
+        if any(s.mass != t.mass or s.momentum != t.momentum for _, s, t in both):
+
+            def momentum() -> Real:
+                less, more = list(here.slides), list(here.slides)
+                for n, below, above in both:
+                    less[n], more[n] = below, above
+                natural = here.modes.frequency
+                return (momentum_of(natural, more) - momentum_of(natural, less)) * per
+
+            change[7] = kept(self.made, (j, here.modes.frequency), momentum, MOST)
+        change[8] = np.zeros((len(here.slides), frequency.size), dtype=complex)
+        for n, below, above in both:
+            change[8][n] = (above.stiffness(2.0 * np.pi * frequency) - below.stiffness(2.0 * np.pi * frequency)) * per
+        return change
+
+    def _by_modes(self, condition: Condition, here: Machine, frequency: Real, shaken: Shaken, j: int) -> Change | None:
+        """Return how the parts change with a parameter of modes; None for not at all."""
+        (p, low, high), family, like = self.steps[j], self.family, _like(condition)
+
+        def machines() -> tuple[Changed, ...] | None:
+            both = tuple([family.changed(condition, {**self.values, p.name: x}) for x in (low, high)])
+            return None if both[0] == both[1] else both
+
+        if (pair := kept(self.made, (j, like), machines, MOST)) is None:
+            return None
+
+        less, more = pair
+        per, natural = p.scale / (high - low), less.frequency != more.frequency
+
+        def steady() -> Change:
+            before, after = (parts_of_modes(m, here.slides, frequency) for m in pair)
+            found: Change = [
+                None if np.array_equal(x, y) else (y - x) * per for x, y in zip(before, after, strict=True)
+            ]
+            momenta = [momentum_of(m.frequency, here.slides) for m in pair] if natural else []
+            return [*found, (momenta[1] - momenta[0]) * per if natural else None]
+
+        def springs() -> Complex | None:
+            before, after = (springs_of(m, shaken) for m in pair)
+            return None if np.array_equal(before, after) else (after - before) * per
+
+        of_lines = frequency.tobytes() if less.mode or more.mode else b""
+        found = kept(self.made, (j, like, of_lines), steady, MOST)
+        hit = shaken if joints(less) or joints(more) else None
+        return [kept(self.made, (j, like, hit, "springs"), springs, MOST), *found, None]
+
+
+def _like(condition: Condition) -> tuple[object, ...]:
+    """Return what the modes depend on of the settings of a condition."""
+    return tuple(condition.settings.get(k) for k in ("position", "order", "spindle_speed", "added_mass", "sensor"))
 
 
 def _first(cause: Cause) -> tuple[str, ...]:

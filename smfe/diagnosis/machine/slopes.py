@@ -15,15 +15,15 @@ change with a parameter is found by differences of those: they are smooth, and s
 
 from __future__ import annotations
 
-from collections.abc import Hashable, MutableMapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from process.types import Complex, Real
 from smfe.diagnosis.frf.changed import Changed, Shaken
-from smfe.diagnosis.frf.modal_dynamics import joints, left_out, stiffness_of
-from smfe.diagnosis.frf.noise import kept
+from smfe.diagnosis.frf.modal_dynamics import left_out
+from smfe.diagnosis.frf.modal_slopes import springs_of as joint_springs
 from smfe.diagnosis.machine.dynamics import Slide, bounded
 
 STEP = 1e-3
@@ -42,9 +42,9 @@ class Machine(NamedTuple):
 class Parts(NamedTuple):
     """What A and P are made of; real numbers but for springs, base and what is beyond."""
 
+    springs: Complex  # S_e, (3, M, M)
     frequency: Real  # of the modes [Hz], (M,)
     damping: Real  # (M,)
-    springs: Complex  # S_e, (3, M, M)
     turning: Real  # G, (M, M)
     shape: Real  # P, (M + a, 3)
     mass: Real  # m, (1,)
@@ -53,58 +53,32 @@ class Parts(NamedTuple):
     base: Complex  # B, (a, f)
 
 
-Kept = MutableMapping[Hashable, Any]
-"""What was made of modes and of slides, for several conditions and parameters."""
+def springs_of(modes: Changed, shaken: Shaken) -> Complex:
+    """Return the springs of a machine that is hit, or whose joints are linear, under a force along each axis, S_e."""
+    own = joint_springs(modes, shaken)
+    return own + np.array(modes.springs).reshape(own.shape[1:]) if modes.springs else own
 
 
-def parts_of(machine: Machine, frequency: Real, shaken: Shaken, made: Kept) -> Parts:
-    """Return the parts of a machine that is hit, or whose joints are linear."""
-    modes, slides = machine
-    loose = bool(modes.slip or modes.hardening or modes.iwan)
-    key = (modes, shaken if loose else None, frequency.tobytes() if modes.mode else b"")
-    axes = tuple([s.axis for s in slides])
-    of_modes = kept(made, (key, axes), lambda: _of_modes(modes, axes, frequency, shaken), MOST)
-    momenta = tuple([(s.mass, s.momentum) for s in slides])
-    momentum = kept(made, (modes.frequency, momenta), lambda: _momentum(modes.frequency, momenta), MOST)
-    plain = tuple([s._replace(momentum=()) for s in slides])
-    own = frequency.tobytes()
-    for s in plain:
-        kept(made, (own, s), lambda s=s: s.stiffness(2.0 * np.pi * frequency), MOST)  # type: ignore[misc]
-    base = kept(made, (own, plain), lambda: np.array([made[own, s] for s in plain]).reshape(-1, len(frequency)), MOST)
-    natural, damping, springs, turning, shape, mass, beyond = of_modes
-    return Parts(natural, damping, springs, turning, shape, mass, beyond, momentum, base)
-
-
-def _of_modes(modes: Changed, axes: tuple[int, ...], frequency: Real, shaken: Shaken) -> tuple[Any, ...]:
+def parts_of_modes(modes: Changed, slides: Sequence[Slide], frequency: Real) -> tuple[Any, ...]:
+    """Return the parts of a machine that do not depend on how it is shaken or moves: frequency to beyond."""
     natural, count = np.array(modes.frequency), len(modes.frequency)
     v = np.array(modes.direction).reshape(count, 3) / np.sqrt(np.array(modes.stiffness))[:, None]
-    springs = np.zeros((3, count, count), dtype=complex)
-    if modes.springs:
-        springs += np.array(modes.springs).reshape(count, count)
-    nothing = np.zeros((1, 1), dtype=complex)
-    for joint in joints(modes):
-        stiffness = np.broadcast_to(stiffness_of(joint, modes, v, shaken, nothing, nothing), (1, 3))[0]
-        springs += stiffness[:, None, None] * np.outer(joint.vector, joint.vector)
     turning = np.array(modes.gyroscopic).reshape(count, count) if modes.gyroscopic else np.zeros((count, count))
-    ends = np.zeros((len(axes), 3))
-    ends[range(len(axes)), list(axes)] = 1.0
+    ends = np.zeros((len(slides), 3))
+    ends[range(len(slides)), [s.axis for s in slides]] = 1.0
     mass, shape = np.array([modes.mass]), np.concatenate([v, ends])
-    return natural, np.array(modes.damping), springs, turning, shape, mass, left_out(modes, frequency)
+    return natural, np.array(modes.damping), turning, shape, mass, left_out(modes, frequency)
 
 
-def _momentum(frequency: tuple[float, ...], momenta: Sequence[tuple[float, tuple[float, ...]]]) -> Real:
-    share = bounded(np.array([one[1] for one in momenta]).reshape(len(momenta), len(frequency)))
-    mass = np.array([one[0] for one in momenta])
+def momentum_of(frequency: tuple[float, ...], slides: Sequence[Slide]) -> Real:
+    """Return the momentum of the modes along the slides, l, (a, M)."""
+    share = bounded(np.array([s.momentum for s in slides]).reshape(len(slides), len(frequency)))
+    mass = np.array([s.mass for s in slides])
     return np.asarray(share * np.sqrt(mass)[:, None] / (2.0 * np.pi * np.array(frequency)))
 
 
 Change = list[Any]
 """How each of the parts changes; None: not at all."""
-
-
-def difference(below: Parts, above: Parts, step: float) -> Change:
-    """Return how the parts change over a step."""
-    return [None if a is b else (a - b) / step for a, b in zip(above, below, strict=True)]
 
 
 def slopes(parts: Parts, changes: Sequence[Change], frequency: Real) -> Complex:
@@ -117,8 +91,8 @@ def slopes(parts: Parts, changes: Sequence[Change], frequency: Real) -> Complex:
     for one, change in zip(out, changes, strict=True):
         if change[6] is not None:
             one += change[6]
-    real = np.concatenate([_stacked(parts, changes, k) for k in (0, 1, 3, 7, 4, 5)], axis=1)
-    springs = _stacked(parts, changes, 2).reshape(p, 3, count**2)
+    real = np.concatenate([_stacked(parts, changes, k) for k in (1, 2, 3, 7, 4, 5)], axis=1)
+    springs = _stacked(parts, changes, 0).reshape(p, 3, count**2)
     used, moved = np.any(real != 0.0, axis=0), [j for j, c in enumerate(changes) if c[8] is not None]
     base = np.array([changes[j][8] for j in moved])
     for e in range(3):
