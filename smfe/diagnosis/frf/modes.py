@@ -214,10 +214,15 @@ class ModalFrfs(Abilities):
         Its stiffness changes as a hit dies away, so that one peak is fitted by several modes, softer than at rest; one
         with the joint has one of them for all, and the others stiffer by factors.
         """
-        if self.fitted is None or cause.id not in JOINTS:
+        if not self.from_hits or cause.id not in JOINTS:
             return cause
         fitted = ("frequency", "damping", "stiffness", "turn_a", "turn_b")
         return replace(cause, unsettles=frozenset(name for what in fitted for name in self._names[what]))
+
+    @property
+    def from_hits(self) -> bool:
+        """Whether the modes were fitted to what the machine shows, and nobody declared them."""
+        return self.fitted is not None
 
     @cached_property
     def _every(self) -> tuple[Condition, ...]:

@@ -104,6 +104,11 @@ class MachineOfAxes(ModalFrfs):
         return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
 
     @property
+    def from_hits(self) -> bool:
+        """Whether the modes are those of a measurement at rest."""
+        return not self.stated
+
+    @property
     def bounded_noise(self) -> bool:
         """Hits scatter as thousands of values say, and 1 % of each line and of each column comes on top."""
         return True
