@@ -41,7 +41,7 @@ help:
 	@echo "make slow    the slow tests"
 	@echo "make calibrations  tests that count over many seeds"
 	@echo "make exam    hidden effects, found or not: writes docs/exam.md (a day; ARGS=\"--nulls 30 --seeds 4 --sizes 0\" for less)"
-	@echo "make exam-campaigns  the same through campaign files of imperfect machines (12 hours of CPU; ARGS=\"--nulls 30\")"
+	@echo "make exam-campaigns  the same through campaign files of imperfect machines (12 hours of CPU, resumable; ARGS=\"--minutes 90\")"
 	@echo "make exam-machine  the same of a portal with three feed axes, at rest and in motion (5 hours of CPU)"
 	@echo "make outside records of others, where copies lie: writes docs/outside_table.md (SMFE_BRB, SMFE_SONODE; ten minutes)"
 	@echo "make accuracy  errors of the sweep estimators: writes docs/accuracy_table.md and docs/sweep_table.md (ten minutes)"
