@@ -24,11 +24,11 @@ def settled(family: MachineOfAxes) -> MachineOfAxes:
     """Return a family whose nuisances begin near their best values, alone and with what competes with them.
 
     Where no fit that holds what was declared comes near the data, what was declared is let go, and friction of
-    guideways of which nothing was declared is fitted with all else: without it modes and drives go far astray. What
-    nobody declared is then expected where it is with friction: priors about where it went without would force the
-    gains away in every later fit, and a wrong gain be named to bring them back. So would priors about where damping and
-    contacts of guideways go to beside a gain that is declared wrongly, where other values of what was declared explain
-    all.
+    guideways of which nothing was declared is fitted with all else, and friction that differs between the directions:
+    without it modes and drives go far astray. What nobody declared is then expected where it is with friction: priors
+    about where it went without would force the gains away in every later fit, and a wrong gain be named to bring them
+    back. So would priors about where damping and contacts of guideways go to beside a gain that is declared wrongly,
+    where other values of what was declared explain all.
     """
     few = _one_each(family.conditions)
     sure = {f.name: min(RULES.sure, getattr(family.tolerances, f.name)) for f in fields(Tolerances)}
@@ -52,10 +52,19 @@ def settled(family: MachineOfAxes) -> MachineOfAxes:
             if cost < least:
                 best, near, least = held.values(v), _near(target, cost), cost
         if not friction:
-            v, cost = _at_temperature(loose, target, u, 1.0, ())
-            best, near = loose.values(v), _near(target, cost)
+            v, least = _at_temperature(loose, target, u, 1.0, ())
+            best, near = loose.values(v), _near(target, least)
             begin = {p.name: best[p.name] for p in family.nuisances if p.given}
-    start = {p.name: best[p.name] for p in family.nuisances if not p.given}
+    # Friction that differs between the directions bends stiffnesses and momenta by factors that are let go without it.
+    for k, cause in enumerate(loose.causes):
+        if cause.id == "friction_asymmetry" and _noisy(target) < least < np.inf:
+            v, cost = _cooled(loose, target, warm, (k,))
+            if cost < least:
+                best, least, with_cause[cause.key] = loose.values(v), cost, loose.values(v)
+                near = near or _near(target, cost)
+    free = [p.name for p in family.nuisances if not p.given]
+    start = {name: best[name] for name in free if not name.startswith(RULES.usual)}
+    begin = {**{name: best[name] for name in free if name not in start}, **begin}
     # No wrong sign and no exchanged axes where all fits nearly: their fits from far away would take the most time.
     gross = [c.key for c in family.causes if c.id in ("sensor_gain", "sensor_axis") and near]
     return replace(family, at=start, first=begin, with_cause=with_cause, without=(*family.without, *gross))

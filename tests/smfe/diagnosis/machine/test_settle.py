@@ -10,6 +10,7 @@ from smfe.diagnosis.frf.noise import Excited
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.machine.axes import DeclaredAxis, Gains, Side
 from smfe.diagnosis.machine.family import MachineOfAxes
+from smfe.diagnosis.machine.rules import RULES
 from smfe.diagnosis.machine.settle import settled
 
 MODES = ModalModel(
@@ -56,8 +57,33 @@ def test_what_nobody_declared_is_expected_where_it_is_with_friction() -> None:
 
 def test_a_machine_as_it_was_declared_stays_where_it_is() -> None:
     found = settled(measured({}))
-    assert not found.first
+    assert all(name.startswith(RULES.usual) for name in found.first)
     assert off({p.name: p.start for p in found.nuisances}) < 0.001
+
+
+def test_what_sensors_hits_and_contacts_do_is_expected_where_it_usually_is() -> None:
+    """The first fit begins elsewhere; priors there would count against every later one that explains the data."""
+    family = measured(HELD | {"aside_x": 0.02, "stir_y": 3e-7, "push_x": 1e-4})
+    found = settled(family)
+    usual = {p.name: p.start for p in family.nuisances if p.name.startswith(RULES.usual)}
+    assert {p.name: p.start for p in found.nuisances if p.name in usual} == usual
+    assert any(abs(found.first[name] - at) > 1e-6 for name, at in usual.items())
+
+
+def test_beside_friction_that_differs_between_the_directions_modes_are_expected_where_they_are() -> None:
+    """Without that cause a fit that lets go of what was declared bends modes and gains."""
+    side = Side(1200.0, 1450.0, 8e-3, 5e3)
+    axes = {a: replace(axis, friction=(side, side), contact=5e8) for a, axis in measured({}).axes.items()}
+    sets = tuple(hit(name, feed, 2e-10) for name, feed in (("idle", 0.0), ("forth", 3e-3), ("back", -3e-3)))
+    family, rng = MachineOfAxes(MODES, sets, axes=axes), np.random.default_rng(0)
+    true = {p.name: p.start for p in (*family.nuisances, *(q for c in family.causes for q in c.parameters))}
+    true |= {"friction_asymmetry_x": 0.5, "friction_asymmetry_y": 0.5}
+    seen = [(c, family.predict(c, true)) for c in sets]
+    noisy = tuple(replace(c, observed=y + rng.standard_normal(y.size)) for c, y in seen)
+    found = settled(replace(family, conditions=noisy))
+    assert off({p.name: p.start for p in found.nuisances}) < 0.004
+    begun = found.with_cause["friction_asymmetry"]
+    assert all(abs(begun[f"friction_asymmetry_{a}"] - 0.5) < 0.05 for a in "xy")
 
 
 def test_beside_a_wrong_gain_modes_and_guideways_are_expected_where_they_are() -> None:
