@@ -114,6 +114,17 @@ def test_friction_of_two_sides_is_told_where_both_are_in_the_stribeck_range() ->
     assert both < 0.3 * fast
 
 
+def test_what_a_joint_does_is_told_by_hits_of_another_level() -> None:
+    """Of one level it is a stiffness and a damping, which are open; a campaign that hides it holds no level out."""
+    bench = axis.drawn(np.random.default_rng(3), True)
+    feeds = {"at_500": (500.0, 100.0), "at_2000": (2000.0, 100.0), "hard": (2000.0, 200.0)}
+    plan = [axis.Visit(name, feed, level, "K2") for name, (feed, level) in feeds.items()]
+    tools = instruments(np.random.default_rng(3), 4096.0)
+    for name in axis.BY_LEVEL:
+        alike, apart = (axis.told(bench, p, name, tools, 1.0) for p in (plan[:2], plan))
+        assert apart < 0.5 * alike, name
+
+
 def test_of_limits_counts_what_nothing_that_is_open_imitates() -> None:
     """Fisher's information: coefficients 35 % off, in eight limits, with coefficients known well, badly and not."""
     depths, change = (5e-3,) * 8, np.repeat([math.log(1.35), 0.0], 8)
