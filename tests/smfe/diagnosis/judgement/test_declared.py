@@ -730,6 +730,11 @@ def test_a_cause_that_another_hides_is_found_if_it_matters_however_little_the_ot
     slope = next(p for c in found.causes for p in c.parameters if p.name == "slope")
     assert abs(slope.value - 20.0) < 1.5 * (slope.high - slope.low)
     assert slope.high < 35.0
+    # A fault of the measurement that as little speaks for is not looked for.
+    fault = tuple(replace(c, kind="measurement") if c.id == "difference" else c for c in Curved.causes)
+    assert [c.id for c in diagnose(replace(measured(truth, kind=Curved), causes=fault), worth=WORTH).causes] == [
+        "curve"
+    ]
     # One that would change less than matters is not looked for.
     little = diagnose(measured(truth | {"difference": 4.0}, kind=Curved), worth=WORTH)
     assert [c.id for c in little.causes] == ["curve"]

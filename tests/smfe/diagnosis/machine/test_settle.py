@@ -86,6 +86,17 @@ def test_beside_friction_that_differs_between_the_directions_modes_are_expected_
     assert all(abs(begun[f"friction_asymmetry_{a}"] - 0.5) < 0.05 for a in "xy")
 
 
+def test_friction_that_takes_a_little_of_what_no_cause_explains_is_not_expected() -> None:
+    """Errors three times those that were stated: more parameters take a little of them, whatever they stand for."""
+    side = Side(1200.0, 1450.0, 8e-3, 5e3)
+    axes = {a: replace(axis, friction=(side, side), contact=5e8) for a, axis in measured({}).axes.items()}
+    sets = tuple(hit(name, feed, 2e-10) for name, feed in (("idle", 0.0), ("forth", 3e-3), ("back", -3e-3)))
+    family, rng = MachineOfAxes(MODES, sets, axes=axes), np.random.default_rng(0)
+    true = {p.name: p.start for p in family.nuisances}
+    noisy = tuple(replace(c, observed=(y := family.predict(c, true)) + 3.0 * rng.standard_normal(y.size)) for c in sets)
+    assert not settled(replace(family, conditions=noisy)).with_cause
+
+
 def test_beside_a_wrong_gain_modes_and_guideways_are_expected_where_they_are() -> None:
     """With gains held a fit bends modes and contacts until all nearly fits; priors there would keep it."""
     side = Side(1200.0, 1450.0, 8e-3, 5e3)
