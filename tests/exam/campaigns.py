@@ -69,6 +69,9 @@ far the exam would take a day of CPU time with 20 everywhere, and takes about tw
 
 SIZES = (0.25, 0.5, 0.75, 1.5, 2.0)
 
+LARGEST = {"delay": 0.75}
+"""Largest size of an effect, over that which must be found: with a longer dead time most drives are unstable."""
+
 _IN_MOTION = ("process/friction", "process/simulation", "process/harmonic_balance")
 _MACHINES = ("diagnosis/machine", "diagnosis/evidence")
 _LIMITS = tuple(f"diagnosis/cutting/{name}.py" for name in ("limits", "chatter_line", "converged"))
@@ -250,6 +253,8 @@ def cases(family: str, nulls: int, seeds: int, fresh: bool, sizes: int = 0) -> l
     for k, name in enumerate(module.OUTSIDE):
         found += [(i / few, Case(family, name, "outside", first["outside"] + 100 * k + i)) for i in range(few)]
     for k, (name, size) in enumerate((n, s) for n in LADDER[family] for s in SIZES):
+        if size > LARGEST.get(name, size):
+            continue
         found += [(i / sizes, Case(family, name, "sizes", first["sizes"] + 100 * k + i, size)) for i in range(sizes)]
     return [case for _, case in sorted(found, key=lambda x: x[0])]
 
