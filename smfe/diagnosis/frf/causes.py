@@ -202,10 +202,11 @@ def modal_causes(
         """Micro-slip of elements that all slip within the levels measured."""
         angles = (_angle(f"joint_iwan_angle_{r}", 0.2, 4.0) for r in modes[:-1])
         travel = Parameter("joint_iwan_travel", "1", 1.0, 0.3, 0.05, 30.0, secondary=True)
-        share = _percent("joint_iwan", 0.01, 0.0, 0.95)
+        # What is lost at one amplitude: of elements that never all slip their share over their travel alone is seen.
+        lost = _percent("joint_iwan", 0.01, 0.0, 1.0)
         starts = along_modes(0.02, 1.0)
         title = "micro-slip in a joint"
-        return _cause("joint_micro_slip", title, share, travel, *angles, variant="iwan", starts=starts)
+        return _cause("joint_micro_slip", title, lost, travel, *angles, variant="iwan", starts=starts)
 
     depends = partial(_cause, "posture", "stiffness that depends on the position")
     bend = Parameter("posture_bend", "1/m", 0.0, 0.3 / reach, -10.0 * far, 10.0 * far, secondary=True)

@@ -25,19 +25,40 @@ TIMED = ("hardening", "iwan")
 _BLOCK = 128  # steps that are transformed at once
 
 
-class _Linear(NamedTuple):
-    """A machine without its joint in eigenvalue coordinates, and a grid of time for its hits."""
+class Stepped(NamedTuple):
+    """A machine without its joint in eigenvalue coordinates, from step to step of a grid of time."""
 
     eigenvalue: Complex  # (n,)
     out: Complex  # of the modes in them, whose real part counts, (M, n)
     into: Complex  # of forces on the modes, (n, M)
-    shape: Real  # V, (M, 3)
+    push: Complex  # of forces at the tool along x, y, z, (n, 3)
     step: float  # [s]
     steps: int
 
     @classmethod
-    def of(cls, machine: Changed, grid: tuple[float, int]) -> _Linear:
-        """Return it on a grid of time: its step [s] and the count of them."""
+    def of_states(cls, rate: Real, force: Real, modes: int, grid: tuple[float, int]) -> Stepped:
+        """Return that of states whose rate is that matrix (n, n), the modes first, and forces on them (n, M + 3).
+
+        A force acts on each of the modes, then at the tool along each axis.
+        """
+        eigenvalue, vectors = np.linalg.eig(rate)
+        into, out = np.linalg.solve(vectors, force.astype(complex)), vectors[:modes]
+        # What a fit passes on its way may be unstable: no measured machine is.
+        eigenvalue = np.minimum(eigenvalue.real, 0.0) + 1j * eigenvalue.imag
+        # Each has its conjugate, or is real: one of the two, twice.
+        upper = eigenvalue.imag >= 0.0
+        out = out * np.where(eigenvalue.imag > 0.0, 2.0, 1.0)
+        return cls(
+            np.asarray(eigenvalue[upper], dtype=complex),
+            np.asarray(out[:, upper], dtype=complex),
+            into[upper, :modes],
+            into[upper, modes:],
+            *grid,
+        )
+
+    @classmethod
+    def of(cls, machine: Changed, grid: tuple[float, int]) -> Stepped:
+        """Return that of a machine on a grid of time: its step [s] and the count of them."""
         modes = len(machine.frequency)
         w, loss = 2.0 * np.pi * np.array(machine.frequency), np.array(machine.damping)
         shape = np.array(machine.direction).reshape(modes, 3) / np.sqrt(np.array(machine.stiffness))[:, None]
@@ -45,43 +66,46 @@ class _Linear(NamedTuple):
             # Modes that nothing couples are each an oscillator of its own.
             turning = 1j * w * np.sqrt(1.0 - loss**2)
             real, alone = np.diag(np.full(modes, 2.0 + 0.0j)), np.diag(0.5 * w**2 / turning)
-            return cls(np.asarray(turning - loss * w), real, alone, shape, *grid)
+            return cls(np.asarray(turning - loss * w), real, alone, alone @ shape, *grid)
         inverse = np.diag(w**2)
         if machine.mass:
             inverse = np.linalg.inv(np.diag(w**-2) + machine.mass * (shape @ shape.T))
-        damping = np.diag(2.0 * np.array(machine.damping) / w)
-        if machine.gyroscopic:
-            damping = damping + np.array(machine.gyroscopic).reshape(modes, modes) / (2.0 * np.pi)
-        stiffness = np.eye(modes)
-        if machine.springs:
-            stiffness = stiffness + np.array(machine.springs).reshape(modes, modes)
-        rate, force = np.zeros((2 * modes, 2 * modes)), np.zeros((2 * modes, modes), dtype=complex)
+        stiffness, damping = springs_and_losses(machine)
+        rate, force = np.zeros((2 * modes, 2 * modes)), np.zeros((2 * modes, modes + 3))
         rate[:modes, modes:] = np.eye(modes)
         rate[modes:, :modes], rate[modes:, modes:] = -inverse @ stiffness, -inverse @ damping
-        force[modes:] = inverse
-        eigenvalue, vectors = np.linalg.eig(rate)
-        into, out = np.linalg.solve(vectors, force), vectors[:modes]
-        upper = eigenvalue.imag > 0.0
-        if 2 * int(upper.sum()) == upper.size:
-            # Each has its conjugate: one of the two, twice.
-            eigenvalue, into, out = eigenvalue[upper], into[upper], 2.0 * out[:, upper]
-        return cls(eigenvalue, out, into, shape, *grid)
+        force[modes:] = inverse @ np.concatenate([np.eye(modes), shape], axis=1)
+        return cls.of_states(rate, force, modes, grid)
 
     def held(self) -> tuple[Complex, Complex, Complex]:
         """Return what a step makes of each state, and of forces at its beginning and at its end."""
         x = self.eigenvalue * self.step
-        kept = np.exp(x)
-        end = (kept - 1.0 - x) / (self.eigenvalue * x)
-        return kept, (kept - 1.0) / self.eigenvalue - end, end
+        kept, slow = np.exp(x), np.abs(x) < 1e-3
+        safe = np.where(slow, 1.0, x)
+        end = self.step * np.where(slow, 0.5 + x / 6.0 + x**2 / 24.0, (np.exp(safe) - 1.0 - safe) / safe**2)
+        whole = self.step * np.where(slow, 1.0 + 0.5 * x + x**2 / 6.0, (np.exp(safe) - 1.0) / safe)
+        return np.asarray(kept), np.asarray(whole - end), np.asarray(end)
+
+
+def springs_and_losses(machine: Changed) -> tuple[Real, Real]:
+    """Return stiffness and damping matrix of a machine's modes, of unit stiffness each, (M, M)."""
+    modes = len(machine.frequency)
+    damping = np.diag(np.array(machine.damping) / (np.pi * np.array(machine.frequency)))
+    if machine.gyroscopic:
+        damping = damping + np.array(machine.gyroscopic).reshape(modes, modes) / (2.0 * np.pi)
+    stiffness = np.eye(modes)
+    if machine.springs:
+        stiffness = stiffness + np.array(machine.springs).reshape(modes, modes)
+    return stiffness, damping
 
 
 @lru_cache(maxsize=16)
-def _linear(machine: Changed, grid: tuple[float, int]) -> _Linear:
+def _linear(machine: Changed, grid: tuple[float, int]) -> Stepped:
     """Return the same of a machine without joints: whatever changes with these alone asks for it once."""
-    return _Linear.of(machine, grid)
+    return Stepped.of(machine, grid)
 
 
-def _grid(machine: Changed, duration: float) -> tuple[float, int]:
+def grid_of(machine: Changed, duration: float) -> tuple[float, int]:
     """Return step [s] and count of steps of a hit, alike for machines that differ a little: predictions are smooth."""
     mine = np.flatnonzero(np.abs(_vector(machine)) > 0.0)
     longest = 1.0 / (RULES.steps_a_period * max(machine.frequency[r] for r in mine))
@@ -114,29 +138,32 @@ def force_in_hits(
     shaken: Shaken,
     axes: tuple[int, ...] = (0, 1, 2),
     like: Changed | None = None,
+    stepped: Stepped | None = None,
 ) -> Complex:
     """Return what the one joint of a machine adds to its linear force over that of a hit along some axes, (f, axes).
 
     Half sines of the impulse and duration of the hits; the spectrum of what is left at the end is that of a force that
     stays. The grid of time is that of a machine `like` this one, if given: differences between the two are smooth.
+    A machine whose modes ride on something is given `stepped`.
     """
-    alone = machine._replace(slip=(), hardening=(), iwan=(), mode=(), residual=())
-    linear = _linear(alone, _grid(machine if like is None else like, shaken.duration))
-    kept, begin, end = linear.held()
-    vector, pulse = _vector(machine), _pulse(linear.step, linear.steps, shaken.duration)
+    if stepped is None:
+        alone = machine._replace(slip=(), hardening=(), iwan=(), mode=(), residual=())
+        stepped = _linear(alone, grid_of(machine if like is None else like, shaken.duration))
+    kept, begin, end = stepped.held()
+    vector, pulse = _vector(machine), _pulse(stepped.step, stepped.steps, shaken.duration)
     impulses = [shaken.impulses[e] if shaken.impulses else shaken.level for e in axes]
-    read = vector @ linear.out
-    joint = linear.into @ vector
+    read = vector @ stepped.out
+    joint = stepped.into @ vector
     law = _law(machine, shaken.reference)
-    rows = np.zeros((len(axes), linear.steps + 1))
+    rows = np.zeros((len(axes), stepped.steps + 1))
     for row, e, impulse in zip(rows, axes, impulses, strict=True):
-        push = impulse * (linear.into @ linear.shape[:, e])
+        push = impulse * stepped.push[:, e]
         march(kept, begin * push, end * push, begin * joint, end * joint, read, pulse, *law, row)
     lines = tuple(frequency.tolist())
-    hit = _hit(lines, linear.step, linear.steps, shaken.duration)
+    hit = _hit(lines, stepped.step, stepped.steps, shaken.duration)
     seen = np.abs(hit) > RULES.excited
     whole = np.where(seen, hit, 1.0)
-    forces = _transformed(rows, lines, linear.step)
+    forces = _transformed(rows, lines, stepped.step)
     return np.stack([np.where(seen, f / (x * whole), 0.0) for f, x in zip(forces, impulses, strict=True)], axis=1)
 
 

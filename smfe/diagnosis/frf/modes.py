@@ -340,7 +340,7 @@ class ModalFrfs(Abilities):
 
         None where a joint that is not linear is shaken by a sine.
         """
-        sizes = [self._joint_names(which)[0] for which in LOOSE]
+        sizes = [self.joint_names(which)[0] for which in LOOSE]
         loose = any(values.get(n, 0.0) > 0.0 for n in sizes) or any(p.name in sizes for p in parameters)
         if loose and any(excited_of(c).method != "hammer" and "free_mass" not in c.settings for c in conditions):
             return None
@@ -437,17 +437,17 @@ class ModalFrfs(Abilities):
         found["sensor_mass"] = {("mass", 0, 0): self._accelerometers(condition)}
         return found
 
-    def _joint_names(self, which: str) -> tuple[str, ...]:
+    def joint_names(self, which: str) -> tuple[str, ...]:
         """Return the names of the parameters of a joint, its size first."""
         of = dict(zip(LOOSE, (*JOINTS, "joint_iwan"), strict=True))[which]
         return (of, *(("joint_iwan_travel",) if which == "iwan" else ()), *self._names[of])
 
     def _joint_change(self, name: str, values: Values) -> JointChange | None:
         """Return how a joint changes with a parameter; None where it does not."""
-        which = next((w for w in LOOSE if name in self._joint_names(w)), None)
+        which = next((w for w in LOOSE if name in self.joint_names(w)), None)
         if which is None:
             return None
-        size = self._joint_names(which)[0]
+        size = self.joint_names(which)[0]
         there, step = values.get(size, 0.0) > 0.0, STEP * max(abs(values[name]), 0.01)
         if not there and name != size:
             return None
@@ -458,11 +458,14 @@ class ModalFrfs(Abilities):
 
     def _joint(self, which: str, values: Values) -> tuple[float, ...]:
         """Return a joint as a machine has it; empty for none."""
-        size = self._joint_names(which)[0]
+        size = self.joint_names(which)[0]
         if values.get(size, 0.0) <= 0.0:
             return ()
-        travel = [values["joint_iwan_travel"]] if which == "iwan" else []
-        return (values[size], *travel, *self._vector(values, size))
+        if which != "iwan":
+            return (values[size], *self._vector(values, size))
+        # Rayleigh's law: elements of a share s whose travels go up to D lose s X/(2 D) at an amplitude X.
+        travel = values["joint_iwan_travel"]
+        return (2.0 * travel * values[size], travel, *self._vector(values, size))
 
     def _mode_slope(self, machine: Changed, frequency: Real, values: Values, name: str) -> Complex:
         """Return the derivative of the compliance with a parameter of the further mode, (f, 3, 3)."""
@@ -687,6 +690,16 @@ class ModalFrfs(Abilities):
         rows, columns = np.triu_indices(own.size, diagonal)
         out[own[rows], own[columns]] = np.sum(acting, axis=0)
         return out
+
+    @property
+    def springs_names(self) -> tuple[str, ...]:
+        """Names of the springs between own modes, row by row of the upper half of their matrix."""
+        return self._names["coupling"]
+
+    @property
+    def count_of_own(self) -> int:
+        """How many modes what happens to the machine happens to."""
+        return len(self._own)
 
     @cached_property
     def _damping_at(self) -> dict[float, tuple[str, ...]]:

@@ -24,13 +24,32 @@ updates of ranks three and one.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from process.types import Complex, Real
 from smfe.diagnosis.frf.changed import Changed, Shaken
-from smfe.diagnosis.frf.modal_dynamics import Joint, answers, in_mode_space, joints, left_out, stiffness_of
+from smfe.diagnosis.frf.joint_in_hits import TIMED, Stepped, force_in_hits, grid_of, springs_and_losses
+from smfe.diagnosis.frf.modal_dynamics import (
+    Joint,
+    answers,
+    in_mode_space,
+    joints,
+    left_out,
+    linear,
+    stiffness_of,
+    timed,
+    untimed,
+)
+
+LEAST_DELAY = 1e-6
+"""Dead time below which there is none to a hit [s]."""
+
+
+LOST_AT = 60.0
+"""Frequency at which a contact loses in time what its loss factor says [Hz]: of the first modes of machines."""
 
 
 class Slide(NamedTuple):
@@ -58,22 +77,143 @@ class Slide(NamedTuple):
         return np.asarray(out)
 
 
-def moving_compliance(machine: Changed, slides: tuple[Slide, ...], frequency: Real, shaken: Shaken) -> Complex:
+def moving_compliance(
+    machine: Changed, slides: tuple[Slide, ...], frequency: Real, shaken: Shaken, like: Changed | None = None
+) -> Complex:
     """Return the compliance matrix of modes that ride on slides at frequencies [Hz], [m/N], shape (f, 3, 3).
+
+    A joint whose force after a hit is simulated in time is, on a grid of time for a machine `like` this one.
 
     Raises InputError when a stiffness is negative, or a vibration has no single amplitude.
     """
-    own, coupling, shape = in_mode_space(machine, frequency)
-    loose = joints(machine)
-    reached = np.concatenate([shape, *(j.vector[:, None] for j in loose)], axis=1)  # by the tool and the joints
-    r = _receptance(own, coupling, reached, np.array(machine.frequency), slides, frequency)
-    if machine.mass:
-        r = _loaded(r, machine.mass * (2.0 * np.pi * frequency) ** 2)
-    if loose and shaken.method == "hammer":
-        return np.asarray(_hit(r, loose, machine, shape, shaken) + left_out(machine, frequency))
-    for place, joint in enumerate(loose, 3):
-        r = _through(r, place, joint, machine, shape, shaken)
-    return np.asarray(r[:, :3, :3] + left_out(machine, frequency))
+    in_time, at_once = timed(machine, shaken), joints(untimed(machine, shaken))
+    vectors = [j.vector[:, None] for j in (*at_once, *(joints(one)[0] for one in in_time))]
+    r = _reached(machine, slides, frequency, vectors)
+    count, shape = 3 + len(at_once), in_mode_space(machine, frequency[:1])[2]
+    out = r[:, :count, :count]
+    if at_once and shaken.method == "hammer":
+        out = _hit(out, at_once, machine, shape, shaken)
+    else:
+        for place, joint in enumerate(at_once, 3):
+            out = _through(out, place, joint, machine, shape, shaken)
+    out = out[:, :3, :3] + left_out(machine, frequency)
+    for place, one in enumerate(in_time, count):
+        force = force_in_time(one, slides, frequency, shaken, like)
+        out = out - r[:, :3, place, None] * force[:, None, :]
+    return np.asarray(out)
+
+
+class Pulled(NamedTuple):
+    """A machine with one joint that is simulated in time."""
+
+    machine: Changed
+    vector: Real  # of its displacement, (M,)
+    reached: Complex  # motion of the tool over its force, (f, 3)
+    force: Complex  # what it adds to its linear force over that of a hit along each axis, (f, 3)
+
+    def follows(self) -> Complex:
+        """Return how its force changes with its displacement, all amplitudes as they are, (f, 3).
+
+        As that of a spring line by line, ``g/(1 + g r_jj)``, no more than twice what most lines have: where it is
+        hardly moved its force is that of other frequencies.
+        """
+        ratio = self.force / np.where(self.reached == 0.0, 1.0, self.reached)
+        size = np.abs(ratio)
+        most = 2.0 * np.quantile(size, 0.9, axis=0)
+        return np.asarray(ratio * np.minimum(1.0, most / np.maximum(size, 1e-300)))
+
+
+def pulled_by_joints(machine: Changed, slides: tuple[Slide, ...], frequency: Real, shaken: Shaken) -> list[Pulled]:
+    """Return the joints of a machine that are simulated in time, as they pull at it after a hit."""
+    found = timed(machine, shaken)
+    if not found:
+        return []
+    vectors = [joints(one)[0].vector for one in found]
+    r = _reached(machine, slides, frequency, [v[:, None] for v in vectors])
+    each = zip(found, vectors, strict=True)
+    return [
+        Pulled(one, v, r[:, :3, place], force_in_time(one, slides, frequency, shaken))
+        for place, (one, v) in enumerate(each, 3)
+    ]
+
+
+def force_in_time(
+    one: Changed,
+    slides: tuple[Slide, ...],
+    frequency: Real,
+    shaken: Shaken,
+    like: Changed | None = None,
+    axes: tuple[int, ...] = (0, 1, 2),
+) -> Complex:
+    """Return what the one joint of a machine adds to its linear force over that of a hit along some axes, (f, axes)."""
+    alone, name = linear(one), next(n for n in TIMED if getattr(one, n))
+    alike = one if like is None or not getattr(like, name) else linear(like)._replace(**{name: getattr(like, name)})
+    stepped = riding(alone._replace(mode=(), residual=()), slides, grid_of(alike, shaken.duration))
+    return force_in_hits(one, frequency, shaken, axes, stepped=stepped)
+
+
+@lru_cache(maxsize=64)
+def riding(machine: Changed, slides: tuple[Slide, ...], grid: tuple[float, int]) -> Stepped:
+    """Return a machine without joints whose modes ride on slides, from step to step of a grid of time.
+
+    In time a contact's loss is viscous, that of `LOST_AT`, and a dead time is an
+    all-pass of second order (Pade): its phase is 1 degree off where it is 1.7 radian.
+    """
+    count, a = len(machine.frequency), len(slides)
+    n = count + a
+    natural = np.array(machine.frequency)
+    v = np.array(machine.direction).reshape(count, 3) / np.sqrt(np.array(machine.stiffness))[:, None]
+    ends = np.zeros((a, 3))
+    ends[range(a), [s.axis for s in slides]] = 1.0
+    tool = np.concatenate([v, ends])
+    stiffness, damping, mass = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
+    stiffness[:count, :count], damping[:count, :count] = springs_and_losses(machine)
+    mass[:count, :count] = np.diag(1.0 / (2.0 * np.pi * natural) ** 2)
+    mass[count:, :count] = momentum_of(machine.frequency, slides)
+    mass[:count, count:] = mass[count:, :count].T
+    further: list[tuple[dict[int, float], int, float]] = []  # rate by all states, slide, force on it
+
+    def add(rate: dict[int, float], at: int, force: float) -> int:
+        """Add a state; return its number."""
+        further.append((rate, at, force))
+        return 2 * n + len(further) - 1
+
+    for at, s in enumerate(slides, count):
+        mass[at, at] = s.mass
+        damping[at, at] += s.viscous + (0.0 if s.rate else s.fall)
+        stiffness[at, at] += s.contact
+        damping[at, at] += s.loss * s.contact / (2.0 * np.pi * LOST_AT)
+        if s.fall and s.rate:  # bristles that follow the slide: fall rate (s - b), b' = rate (s - b)
+            stiffness[at, at] += s.fall * s.rate
+            own = 2 * n + len(further)
+            add({at: s.rate, own: -s.rate}, at, s.fall * s.rate)
+        if s.drive is not None:
+            kp, ti, kv, delay = s.drive
+            stiffness[at, at] += kp * (kv + 1.0 / ti)
+            damping[at, at] += kp
+            wound = add({at: kp * kv / ti}, at, -1.0)
+            if delay > LEAST_DELAY:  # what is asked for less 12 x/(x^2 + 6 x + 12) of it, x the delay times s
+                first, then, by = wound + 1, wound + 2, 12.0 / delay**2
+                add({then: 1.0}, at, 0.0)
+                asked = {at: by * kp * (kv + 1.0 / ti), n + at: by * kp, wound: by}
+                add({**asked, first: -by, then: -6.0 / delay}, at, delay)
+    mass += machine.mass * (tool @ tool.T)
+    inverse, size = np.linalg.inv(mass), 2 * n + len(further)
+    rate, force = np.zeros((size, size)), np.zeros((size, count + 3))
+    rate[:n, n : 2 * n] = np.eye(n)
+    rate[n : 2 * n, :n], rate[n : 2 * n, n : 2 * n] = -inverse @ stiffness, -inverse @ damping
+    for own, (rates, at, pull) in enumerate(further, 2 * n):
+        rate[own, list(rates)] = list(rates.values())
+        rate[n : 2 * n, own] = inverse[:, at] * pull
+    force[n : 2 * n] = inverse @ np.concatenate([np.eye(n)[:, :count], tool], axis=1)
+    return Stepped.of_states(rate, force, count, grid)
+
+
+def momentum_of(natural: tuple[float, ...], slides: Sequence[Slide]) -> Real:
+    """Return the momentum of modes of these frequencies [Hz] along the slides, l, (a, M)."""
+    share = bounded(np.array([s.momentum for s in slides]).reshape(len(slides), len(natural)))
+    mass = np.array([s.mass for s in slides])
+    return np.asarray(share * np.sqrt(mass)[:, None] / (2.0 * np.pi * np.array(natural)))
 
 
 def bounded(free: Real) -> Real:
@@ -91,15 +231,24 @@ def unbounded(share: Real) -> Real:
     return np.asarray((vectors / np.sqrt(values)) @ vectors.T @ share)
 
 
+def _reached(machine: Changed, slides: tuple[Slide, ...], frequency: Real, vectors: Sequence[Real]) -> Complex:
+    """Compliance between tool x, y, z and places in mode space without joints, (f, 3 + n, 3 + n)."""
+    own, coupling, shape = in_mode_space(machine, frequency)
+    reached = np.concatenate([shape, *vectors], axis=1)
+    r = _receptance(own, coupling, reached, machine.frequency, slides, frequency)
+    return _loaded(r, machine.mass * (2.0 * np.pi * frequency) ** 2) if machine.mass else r
+
+
 def _receptance(
-    own: Complex, coupling: Complex | None, reached: Real, natural: Real, slides: tuple[Slide, ...], frequency: Real
+    own: Complex,
+    coupling: Complex | None,
+    reached: Real,
+    natural: tuple[float, ...],
+    slides: tuple[Slide, ...],
+    frequency: Real,
 ) -> Complex:
     """Compliance between tool x, y, z and places in mode space, reached (M, 3 + n), shape (f, 3 + n, 3 + n)."""
-    w = 2.0 * np.pi * frequency
-    mass = np.array([s.mass for s in slides])
-    share = np.array([s.momentum for s in slides]).reshape(len(slides), natural.size)
-    share = bounded(share)
-    momentum = share * np.sqrt(mass)[:, None] / (2.0 * np.pi * natural)
+    w, momentum = 2.0 * np.pi * frequency, momentum_of(natural, slides)
     both = answers(own, coupling, np.concatenate([reached, momentum.T], axis=1))
     count = reached.shape[1]
     first, into = both[:, :, :count], both[:, :, count:]

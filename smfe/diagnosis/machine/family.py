@@ -20,7 +20,8 @@ from process.labels import AXES
 from process.types import Complex, Real
 from smfe.diagnosis.frf.causes import OF_DECLARED, RESIDUAL
 from smfe.diagnosis.frf.changed import Changed, Shaken
-from smfe.diagnosis.frf.modal_dynamics import joints
+from smfe.diagnosis.frf.joint_in_hits import TIMED
+from smfe.diagnosis.frf.modal_dynamics import joints, linear
 from smfe.diagnosis.frf.modes import JOINTS, ModalFrfs
 from smfe.diagnosis.frf.noise import Excited, excited_of, kept
 from smfe.diagnosis.frf.rules import RULES as FRF_RULES
@@ -28,7 +29,15 @@ from smfe.diagnosis.frf.workshop import SENSORS, SensorSlopes, measured, sensor_
 from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
 from smfe.diagnosis.machine.axes import DeclaredAxis, nuisances, slide
 from smfe.diagnosis.machine.causes import axis_causes
-from smfe.diagnosis.machine.dynamics import Slide, moving_compliance, unbounded
+from smfe.diagnosis.machine.dynamics import (
+    Pulled,
+    Slide,
+    force_in_time,
+    momentum_of,
+    moving_compliance,
+    pulled_by_joints,
+    unbounded,
+)
 from smfe.diagnosis.machine.rules import RULES
 from smfe.diagnosis.machine.slopes import (
     MOST,
@@ -36,7 +45,6 @@ from smfe.diagnosis.machine.slopes import (
     Change,
     Machine,
     Parts,
-    momentum_of,
     parts_of_modes,
     slopes,
     springs_of,
@@ -93,14 +101,19 @@ class MachineOfAxes(ModalFrfs):
         modal = [
             replace(c, starts=c.starts[:: RULES.starts_left_out]) if c.id == "missing_mode" else c
             for c in super().causes
-            if c.id not in OF_DECLARED and not any(p.name in own for p in c.parameters)
+            if c.id not in OF_DECLARED
+            and not any(p.name in own for p in c.parameters)
+            # One stiffness for a whole hit leaves more than noise; elements are followed through it.
+            and c.key != "joint_micro_slip"
         ]
         if self._count_of_levels < RULES.levels_of_two_laws:
             modal = [replace(c, law_of="joint") if c.id in JOINTS else c for c in modal]
         feeds = [abs(v) for c in self.conditions for v in self._feed(c).values() if v]
-        seen = axis_causes(self.axes, min(feeds, default=0.0))
-        driven = [replace(c, begin=self.with_cause.get(c.key, {})) for c in seen]
-        every = (*driven, *modal)
+        seen = (*axis_causes(self.axes, min(feeds, default=0.0)), *modal)
+        every = [replace(c, begin=self.with_cause.get(c.key, {})) for c in seen]
+        # Beside elements that slip what else hits do is no better known than the course of their slipping.
+        hits = frozenset(name for name in own if name.startswith(RULES.usual))
+        every = [replace(c, unsettles=c.unsettles | hits) if c.id == "joint_micro_slip" else c for c in every]
         return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
 
     @property
@@ -200,16 +213,25 @@ class MachineOfAxes(ModalFrfs):
     def _slopes_of(self, condition: Condition, values: Values, parameters: Sequence[Parameter], beside: Beside) -> Real:
         excited = excited_of(condition)
         frequency, accelerometer = excited.frequency, condition.settings.get("sensor") != "laser"
-        shaken = Shaken(excited.method, excited.level, self._reference)
+        shaken = self._measured(excited)
         here = Machine(self.changed(condition, values), self.slides(condition, values))
-        parts = beside.parts(condition, here, frequency, shaken)
+        pulled = pulled_by_joints(here.modes, here.slides, frequency, shaken)
+        parts = beside.parts(condition, here, frequency, shaken, pulled)
         changes = beside.changes(condition, here, frequency, shaken)
         phi = self.compliance(here.modes, here.slides, frequency, shaken)
         tool = beside.sensors.of(phi, frequency, accelerometer)
         tool *= np.array([p.scale for p in parameters])[:, None, None, None]
         if changes:
-            at_tool = slopes(parts, list(changes.values()), frequency)
+            moved = slopes(parts, list(changes.values()), frequency)
+            at_tool = moved[:, :, :3]
+            for n, one in enumerate(pulled, 3):
+                at_tool -= beside.pull_changes(
+                    condition, one, frequency, shaken, list(changes), at_tool, moved[:, :, n]
+                )
             tool[list(changes)] = measured(at_tool, frequency, values, accelerometer)
+        for j in beside.in_time if shaken.duration > 0.0 else ():
+            at_tool = beside.by_joint(condition, here, phi, frequency, shaken, j)
+            tool[j] = measured(at_tool[None], frequency, values, accelerometer)[0]
         rows, columns = ([AXES.index(e[k]) for e in excited.entries] for k in (0, 1))
         return excited.whitened_each(tool[:, :, rows, columns]).T
 
@@ -227,6 +249,7 @@ class Beside:
     steps: Sequence[tuple[Parameter, float, float]]  # with the values below and above
     sensors: SensorSlopes
     axes: Mapping[str, frozenset[str]]  # parameter -> axes whose slides it changes
+    in_time: frozenset[int]  # parameters of joints that are simulated in time
     made: dict[Hashable, Any] = field(default_factory=dict)
 
     @classmethod
@@ -242,17 +265,25 @@ class Beside:
             momentum = [p.name for p in parameters if p.name.startswith(f"momentum_{a}_")]
             for name in (*(p.name for p in own), *momentum):
                 axes[name] = axes.get(name, frozenset()) | {a}
-        return cls(family, values, steps, sensor_slopes(values, [p.name for p in parameters]), axes)
+        timed = {name for joint in TIMED for name in family.joint_names(joint)}
+        in_time = frozenset(j for j, p in enumerate(parameters) if p.name in timed)
+        return cls(family, values, steps, sensor_slopes(values, [p.name for p in parameters]), axes, in_time)
 
-    def parts(self, condition: Condition, here: Machine, frequency: Real, shaken: Shaken) -> Parts:
-        """Return the parts of the machine under a condition, `here`."""
+    def parts(
+        self, condition: Condition, here: Machine, frequency: Real, shaken: Shaken, pulled: Sequence[Pulled] = ()
+    ) -> Parts:
+        """Return the parts of the machine under a condition, `here`, with joints whose forces pull at its modes."""
         modes, natural = here.modes, here.modes.frequency
         of_lines = frequency.tobytes() if modes.mode else b""
         key = (_like(condition), of_lines)
         steady = kept(self.made, key, lambda: parts_of_modes(modes, here.slides, frequency), MOST)
         momentum = kept(self.made, natural, lambda: momentum_of(natural, here.slides), MOST)
         base = np.array([s.stiffness(2.0 * np.pi * frequency) for s in here.slides]).reshape(-1, len(frequency))
-        return Parts._make([springs_of(modes, shaken), *steady, momentum, base])
+        at = np.zeros((len(natural) + len(here.slides), len(pulled)))
+        pull = np.zeros((3, frequency.size, len(pulled)), dtype=complex)
+        for n, one in enumerate(pulled):
+            at[: len(natural), n], pull[:, :, n] = one.vector, one.force.T
+        return Parts._make([springs_of(modes, shaken), *steady, momentum, base, at, pull])
 
     def changes(self, condition: Condition, here: Machine, frequency: Real, shaken: Shaken) -> dict[int, Change]:
         """Return how the parts of the machine under a condition, `here`, change with each parameter that changes any.
@@ -262,7 +293,7 @@ class Beside:
         found: dict[int, Change] = {}
         moved = {a: self.family.moved(a, condition) for a in self.family.axes}
         for j, (p, low, high) in enumerate(self.steps):
-            if p.name in SENSORS or not low < high:
+            if p.name in SENSORS or not low < high or (j in self.in_time and shaken.duration > 0.0):
                 continue
             if p.name in self.axes:
                 change = self._by_slides(condition, here, frequency, j, moved)
@@ -271,6 +302,54 @@ class Beside:
             if change is not None:
                 found[j] = change
         return found
+
+    def pull_changes(
+        self,
+        condition: Condition,
+        one: Pulled,
+        frequency: Real,
+        shaken: Shaken,
+        which: Sequence[int],
+        at_tool: Complex,
+        moved: Complex,
+    ) -> Complex:
+        """Return what a joint that is simulated in time does more, for steps of the scales of some parameters.
+
+        `at_tool` are the changes of the compliance with its force as it is (p, f, 3, 3), `moved` those of its own
+        displacement (p, f, 3). Where it is much of what changes it is simulated once more, a little aside.
+        """
+        force = one.follows() * moved
+        out = one.reached[None, :, :, None] * force[:, :, None, :]
+        size = np.sqrt(np.sum(np.abs(out) ** 2, axis=(1, 2)))
+        whole = np.linalg.norm(at_tool.reshape(len(at_tool), -1), axis=1)
+        name = next(n for n in TIMED if getattr(one.machine, n))
+        for place, j in enumerate(which):
+            p, _, high = self.steps[j]
+            axes = tuple(np.flatnonzero(size[place] > RULES.followed * whole[place]).tolist())
+            if not axes or (step := high - self.values[p.name]) <= 0.0:
+                continue
+            values = {**self.values, p.name: high}
+            there, slides = self.family.changed(condition, values), self.family.slides(condition, values)
+            there = linear(there)._replace(**{name: getattr(there, name)})
+            more = force_in_time(there, slides, frequency, shaken, one.machine, axes)
+            change = (more - one.force[:, axes]) * (p.scale / step)
+            out[place][:, :, axes] = one.reached[:, :, None] * change[:, None, :]
+        return out
+
+    def by_joint(
+        self, condition: Condition, here: Machine, phi: Complex, frequency: Real, shaken: Shaken, j: int
+    ) -> Complex:
+        """Return the change of the compliance, `phi`, for a step of the scale of a joint that is simulated in time.
+
+        A difference of two simulations on one grid of time, (f, 3, 3).
+        """
+        p, _, high = self.steps[j]
+        step = high - self.values[p.name]
+        more = self.family.changed(condition, {**self.values, p.name: self.values[p.name] + step})
+        if more == here.modes or step <= 0.0:
+            return np.zeros_like(phi)
+        changed = moving_compliance(more, here.slides, frequency, shaken, like=here.modes)
+        return np.asarray((changed - phi) * (p.scale / step))
 
     def _by_slides(
         self,

@@ -52,7 +52,7 @@ class MachineRules:
     starts_left_out: int = 7
     """Of the starts of a cause of modes one in so many is followed: a fit of eighty parameters takes seconds."""
     # where fits begin
-    usual: tuple[str, ...] = ("aside_", "reach_", "stir_", "push_", "contact_slip_", "contact_loss_")
+    usual: tuple[str, ...] = ("viscous_", "aside_", "reach_", "stir_", "push_", "contact_slip_", "contact_loss_")
     """Names of what is expected where it usually is, wherever a first fit finds it: what sensors, hits and contacts do.
     Of modes and momenta nobody knows more than that fit."""
     sure: float = 1e-5  # tolerance of what is declared while the rest is fitted
@@ -63,6 +63,18 @@ class MachineRules:
     damping: float = 0.01  # of the first step, over the diagonal of the normal equations
     most_steps: int = 30  # at one temperature
     most_dampings: int = 8  # that are tried in a step
+    levels_apart: float = 1.5  # largest level of hits over the smallest, from which a joint is looked for
+    over_noise: float = 4.0  # standard deviations of a misfit beyond that of noise, from which something is left
+    begun_times: int = 2  # fits that follow each other before a joint is looked for
+    begun_to: float = 0.003  # share of its misfit to which a fit is followed that others begin with
+    joint_promises: float = 0.2  # share of what is left that a joint must take to first order to be fitted
+    joint_leaves: float = 0.5  # the same that it may leave to be begun with
+    joint_sizes: tuple[float, ...] = (0.01, 0.03, 0.1)  # of a joint that are tried along the direction found for it
+    joint_travels: tuple[float, ...] = (3.0, 1.0)  # the same of the travel of its elements
+    joint_starts: int = 20  # of directions, besides each mode alone
+    followed: float = 0.03
+    """Share of the change of a compliance with a parameter that the change of a joint's force must be for it to be
+    simulated: with amplitudes as they were it is 10 to 20 % off."""
     little_progress: float = 0.003  # relative decrease of the misfit below which a temperature is done with
     little_decrease: float = 0.5  # the same of the misfit itself: standard deviations of priors, and of data so heated
 

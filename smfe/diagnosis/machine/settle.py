@@ -17,6 +17,7 @@ from smfe.diagnosis.inference.fit import Target, residuals, stacked
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.machine.family import MachineOfAxes
+from smfe.diagnosis.machine.joint_start import begun_with_a_joint
 from smfe.diagnosis.machine.rules import RULES
 
 
@@ -40,6 +41,8 @@ def settled(family: MachineOfAxes) -> MachineOfAxes:
     loose = Model(replace(family, conditions=few, proposals=()), few, released=[p.name for p in family.nuisances])
     if near and cost > _noisy(target):
         v, least = _cooled(loose, target, warm, ())
+        if least > cost:  # with more let go it has come into a worse valley than with all held
+            v, least = _at_temperature(loose, target, u, 1.0, ())
         best = loose.values(v) if least <= _noisy(target) else best
     if not near:
         friction = [k for k, c in enumerate(held.causes) if c.id == "guideway_friction"]
@@ -69,7 +72,9 @@ def settled(family: MachineOfAxes) -> MachineOfAxes:
     begin = {**{name: best[name] for name in free if name not in start}, **begin}
     # No wrong sign and no exchanged axes where all fits nearly: their fits from far away would take the most time.
     gross = [c.key for c in family.causes if c.id in ("sensor_gain", "sensor_axis") and near]
-    return replace(family, at=start, first=begin, with_cause=with_cause, without=(*family.without, *gross))
+    return begun_with_a_joint(
+        replace(family, at=start, first=begin, with_cause=with_cause, without=(*family.without, *gross))
+    )
 
 
 def _near(target: Target, cost: float, share: float = RULES.near) -> bool:

@@ -10,7 +10,8 @@ gives it. With ``x = A_e^-1 P_e`` and ``y_i = A_e^-T P_i`` a change of anything 
 ``d Phi_ie = dP_i^T x + y_i^T dP_e - y_i^T dA_e x``,
 
 which is a few products for all parameters together where differences of predictions cost a solution each. How A and P
-change with a parameter is found by differences of those: they are smooth, and small.
+change with a parameter is found by differences of those: they are smooth, and small. Joints that are simulated in time
+act as forces: they come to P_e in x alone, and change with what they are simulated with besides (`family.Beside`).
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ import numpy as np
 
 from process.types import Complex, Real
 from smfe.diagnosis.frf.changed import Changed, Shaken
-from smfe.diagnosis.frf.modal_dynamics import left_out
+from smfe.diagnosis.frf.modal_dynamics import left_out, untimed
 from smfe.diagnosis.frf.modal_slopes import springs_of as joint_springs
-from smfe.diagnosis.machine.dynamics import Slide, bounded
+from smfe.diagnosis.machine.dynamics import Slide
 
 STEP = 1e-3
 """Half of the step of the differences, in scales: of functions in closed form, so that rounding does not count."""
@@ -40,7 +41,7 @@ class Machine(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """What A and P are made of; real numbers but for springs, base and what is beyond."""
+    """What A and P are made of; real numbers but for springs, base, pull and what is beyond."""
 
     springs: Complex  # S_e, (3, M, M)
     frequency: Real  # of the modes [Hz], (M,)
@@ -51,11 +52,16 @@ class Parts(NamedTuple):
     beyond: Complex  # compliance that does not answer to any of it, (f or 1, 3, 3)
     momentum: Real  # l, (a, M)
     base: Complex  # B, (a, f)
+    joints: Real  # displacements of joints that are simulated in time, (M + a, j)
+    pull: Complex  # force of each of them over that of a hit along e, (3, f, j)
 
 
 def springs_of(modes: Changed, shaken: Shaken) -> Complex:
-    """Return the springs of a machine that is hit, or whose joints are linear, under a force along each axis, S_e."""
-    own = joint_springs(modes, shaken)
+    """Return the springs of a machine that is hit, or whose joints are linear, under a force along each axis, S_e.
+
+    Without those of joints that are simulated in time.
+    """
+    own = joint_springs(untimed(modes, shaken), shaken)
     return own + np.array(modes.springs).reshape(own.shape[1:]) if modes.springs else own
 
 
@@ -70,37 +76,34 @@ def parts_of_modes(modes: Changed, slides: Sequence[Slide], frequency: Real) -> 
     return natural, np.array(modes.damping), turning, shape, mass, left_out(modes, frequency)
 
 
-def momentum_of(frequency: tuple[float, ...], slides: Sequence[Slide]) -> Real:
-    """Return the momentum of the modes along the slides, l, (a, M)."""
-    share = bounded(np.array([s.momentum for s in slides]).reshape(len(slides), len(frequency)))
-    mass = np.array([s.mass for s in slides])
-    return np.asarray(share * np.sqrt(mass)[:, None] / (2.0 * np.pi * np.array(frequency)))
-
-
 Change = list[Any]
 """How each of the parts changes; None: not at all."""
 
 
 def slopes(parts: Parts, changes: Sequence[Change], frequency: Real) -> Complex:
-    """Return the changes of the compliance, shape (p, f, 3, 3), for p changes of the parts."""
+    """Return the changes of the compliance, and of what joints move by, shape (p, f, 3 + j, 3), for p changes of parts.
+
+    Their forces stay what they are.
+    """
     p, size = len(changes), frequency.size
     w, f = 2.0 * np.pi * frequency, frequency[:, None]
     carried, ratio, count = w**2 * parts.mass, f / parts.frequency, parts.frequency.size
     by_frequency = (2.0 * ratio**2 - 2j * parts.damping * ratio) / parts.frequency
-    out = np.zeros((p, size, 3, 3), dtype=complex)
+    rows = 3 + parts.joints.shape[1]
+    out = np.zeros((p, size, rows, 3), dtype=complex)
     for one, change in zip(out, changes, strict=True):
         if change[6] is not None:
-            one += change[6]
-    real = np.concatenate([_stacked(parts, changes, k) for k in (1, 2, 3, 7, 4, 5)], axis=1)
-    springs = _stacked(parts, changes, 0).reshape(p, 3, count**2)
+            one[:, :3] += change[6]
+    real = np.concatenate([_stacked(changes, k, parts[k].size) for k in (1, 2, 3, 7, 4, 5)], axis=1)
+    springs = _stacked(changes, 0, 3 * count**2, complex).reshape(p, 3, count**2)
     used, moved = np.any(real != 0.0, axis=0), [j for j, c in enumerate(changes) if c[8] is not None]
     base = np.array([changes[j][8] for j in moved])
     for e in range(3):
-        x, y = _answers(parts, frequency, e)  # (f, n), (f, n, 3)
-        response, own = y.transpose(0, 2, 1) @ parts.shape, x @ parts.shape  # of the tool, (f, 3, 3) and (f, 3)
+        x, y = _answers(parts, frequency, e)  # (f, n), (f, n, 3 + j)
+        response, own = y.transpose(0, 2, 1) @ parts.shape, x @ parts.shape  # of the tool, (f, 3 + j, 3) and (f, 3)
         to, by = (a[:, :count] for a in (y, x))
         on, under = (a[:, count:] for a in (y, x))
-        of_tool = np.eye(3) + carried[:, None, None] * response  # (f, i, k)
+        of_tool = np.eye(rows, 3) + carried[:, None, None] * response  # (f, i, k)
         of_force = np.eye(3)[e] + carried[:, None] * own  # (f, k)
         both = to[:, :, None, :] * by[:, None, :, None]  # (f, r, s, i)
         along = on[:, :, None, :] * by[:, None, :, None] + to[:, None, :, :] * under[:, :, None, None]
@@ -109,26 +112,26 @@ def slopes(parts: Parts, changes: Sequence[Change], frequency: Real) -> Complex:
         terms = [
             -by_frequency[:, :, None] * single,
             -2j * ratio[:, :, None] * single,
-            -1j * frequency[:, None, None] * both.reshape(size, -1, 3),
-            (w**2)[:, None, None] * along.reshape(size, -1, 3),
-            ends.reshape(size, -1, 3),
+            -1j * frequency[:, None, None] * both.reshape(size, -1, rows),
+            (w**2)[:, None, None] * along.reshape(size, -1, rows),
+            ends.reshape(size, -1, rows),
             ((w**2)[:, None] * np.einsum("fik,fk->fi", response, own))[:, None],
         ]
         basis = np.ascontiguousarray(np.concatenate(terms, axis=1)[:, used].transpose(1, 0, 2))
-        basis = basis.reshape(int(used.sum()), 3 * size)
-        out[..., e] += _product(real[:, used], basis).reshape(p, size, 3)
+        basis = basis.reshape(int(used.sum()), rows * size)
+        out[..., e] += _product(real[:, used], basis).reshape(p, size, rows)
         spring = springs[:, e]
         if np.any(spring):
-            basis = both.reshape(size, -1, 3).transpose(1, 0, 2).reshape(spring.shape[1], 3 * size)
-            out[..., e] -= (spring @ basis).reshape(p, size, 3)
+            basis = both.reshape(size, -1, rows).transpose(1, 0, 2).reshape(spring.shape[1], rows * size)
+            out[..., e] -= (spring @ basis).reshape(p, size, rows)
         if moved:
             out[moved, :, :, e] -= np.einsum("paf,fai->pfi", base, on * under[:, :, None])
     return out
 
 
-def _stacked(parts: Parts, changes: Sequence[Change], k: int) -> Any:
+def _stacked(changes: Sequence[Change], k: int, size: int, kind: type = float) -> Any:
     """Return how one of the parts changes, flat, (p, n)."""
-    out = np.zeros((len(changes), parts[k].size), dtype=parts[k].dtype)
+    out: Any = np.zeros((len(changes), size), dtype=kind)
     for row, change in zip(out, changes, strict=True):
         if change[k] is not None:
             row[:] = change[k].ravel()
@@ -141,7 +144,7 @@ def _product(real: Real, basis: Complex) -> Complex:
 
 
 def _answers(parts: Parts, frequency: Real, e: int) -> tuple[Complex, Complex]:
-    """Return ``A_e^-1 P_e``, (f, n), and ``A_e^-T P``, (f, n, 3)."""
+    """Return ``A_e^-1 P_e`` with the pull of joints, (f, n), and ``A_e^-T`` of P and joints, (f, n, 3 + j)."""
     count, w = parts.frequency.size, 2.0 * np.pi * frequency
     ratio, n = frequency[:, None] / parts.frequency, parts.shape.shape[0]
     a = np.zeros((frequency.size, n, n), dtype=complex)
@@ -154,6 +157,9 @@ def _answers(parts: Parts, frequency: Real, e: int) -> tuple[Complex, Complex]:
     a[:, slides, slides] = parts.base.T
     if parts.mass[0]:
         a -= (w**2)[:, None, None] * parts.mass * (parts.shape @ parts.shape.T)
-    x = np.linalg.solve(a, np.broadcast_to(parts.shape[:, e, None].astype(complex), (len(a), n, 1)))[:, :, 0]
-    y = np.linalg.solve(a.transpose(0, 2, 1), np.broadcast_to(parts.shape.astype(complex), (len(a), n, 3)))
+    force = np.tile(parts.shape[:, e].astype(complex), (len(a), 1))
+    force -= parts.pull[e] @ parts.joints.T
+    x = np.linalg.solve(a, force[:, :, None])[:, :, 0]
+    seen = np.concatenate([parts.shape, parts.joints], axis=1).astype(complex)
+    y = np.linalg.solve(a.transpose(0, 2, 1), np.broadcast_to(seen, (len(a), *seen.shape)))
     return x, y

@@ -99,7 +99,7 @@ PARAMETERS = {
     "mode_azimuth": "direction of the further mode in the plane",
     "mode_elevation": "direction of the further mode out of the plane",
     "posture_bend": "bend over the stroke",
-    "joint_iwan": "share of the stiffness that slips",
+    "joint_iwan": "share of the stiffness that is lost at the middle level while none slips wholly",
     "joint_iwan_travel": "amplitude at which all of it slips, over the middle level",
     "joint_micro_slip": "slip of the joint",
     "joint_hardening": "hardening of the joint",

@@ -157,3 +157,56 @@ def test_modes_never_carry_more_than_what_they_ride_on(seed: int) -> None:
     share = bounded(wild)
     assert np.linalg.eigvalsh(share @ share.T)[-1] < 1.0
     assert np.allclose(unbounded(share), wild, rtol=1e-6)
+
+
+def by_small_steps(ride: tuple[Slide, ...], vector: Real, share: float, limits: Real, impulse: float) -> Real:
+    """Spectrum of the tool's motion over that of a hit along x: steps of 20 us, each Jenkins element by itself."""
+    shape = MODES.direction / np.sqrt(MODES.stiffness)[:, None]
+    own = 2.0 * math.pi * MODES.frequency
+    n, count, dt = 3 + len(ride), round(1.2 / 2e-5), 2e-5
+    mass = np.diag([*own**-2.0, *(s.mass for s in ride)])
+    mass[3:, :3] = SHARES * np.sqrt([s.mass for s in ride])[:, None] / own
+    mass[:3, 3:] = mass[3:, :3].T
+    inverse, tool = np.linalg.inv(mass), np.concatenate([shape, np.eye(3)])
+    stiffness = np.diag([1.0, 1.0, 1.0, *(s.contact for s in ride)])
+    damping = np.diag([*2.0 * MODES.damping / own, *(s.viscous for s in ride)])
+    drives = np.array([s.drive for s in ride])
+    late = np.round(drives[:, 3] / dt).astype(int)
+    queue, wound = np.zeros((len(ride), late.max() + 1)), np.zeros(len(ride))
+    q, v, elements = np.zeros(n), np.zeros(n), np.zeros(limits.size)
+    each, moved, force = share / limits.size, np.zeros((count, 3)), np.zeros(count)
+    duration, before = 4e-3, 0.0
+    for k in range(count):
+        t = k * dt
+        force[k] = impulse * math.pi / (2.0 * duration) * math.sin(math.pi * t / duration) if t < duration else 0.0
+        moved[k] = tool.T @ q
+        y = float(vector @ q[:3])
+        elements = np.clip(elements + each * (y - before), -each * limits, each * limits)
+        before = y
+        push = tool @ np.array([force[k], 0.0, 0.0]) - stiffness @ q - damping @ v
+        push[:3] -= vector * (float(elements.sum()) - share * y)
+        error = v[3:] + drives[:, 2] * q[3:]
+        wound = wound + dt * error / drives[:, 1]
+        queue[:, k % queue.shape[1]] = drives[:, 0] * (error + wound)
+        push[3:] -= queue[range(len(ride)), (k - late) % queue.shape[1]]
+        v = v + dt * (inverse @ push)
+        q = q + dt * v
+    turn = np.exp(-2j * np.pi * F[:, None] * dt * np.arange(count + 1))
+    stays = turn[:, count, None] / (2j * np.pi * F[:, None] * dt) * moved[-1]  # elements that have slipped do
+    return np.asarray((turn[:, :count] @ moved + stays) / (turn[:, :count] @ force)[:, None])
+
+
+@pytest.mark.parametrize(("contact", "viscous"), [(0.0, 3000.0), (4e8, 6e4)])
+def test_a_joint_that_slips_in_a_hit_is_followed_in_time(contact: float, viscous: float) -> None:
+    """Beside an integration element by element, in motion and on contacts that hold; one stiffness a hit is far off."""
+    vector = np.array([0.8, 0.36, 0.48])
+    ride, limits = slides(contact=contact, viscous=viscous), 0.03 * (np.arange(40) + 0.5) / 40
+    expected = by_small_steps(ride, vector, 0.5, limits, 1.0)
+    machine = unchanged(MODES)._replace(iwan=(0.5, 1.0, *vector))
+    hit = Shaken("hammer", 1.0, 0.03, None, (1.0, 1.0, 1.0), 4e-3)
+    found = moving_compliance(machine, ride, F, hit)[:, :, 0]
+    at_once = moving_compliance(machine, ride, F, hit._replace(duration=0.0))[:, :, 0]
+    linear = moving_compliance(unchanged(MODES), ride, F, hit)[:, :, 0]
+    does = np.linalg.norm(expected - linear)
+    assert np.linalg.norm(found - expected) < 0.03 * does
+    assert np.linalg.norm(at_once - expected) > 0.25 * does

@@ -1,9 +1,11 @@
 """Claims: fits of a machine begin, and expect what nobody declared, where friction that nobody declared puts it."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from process.machine.modes import ModalModel
 from smfe.diagnosis.frf.noise import Excited
@@ -20,15 +22,16 @@ MODES = ModalModel(
     direction=np.array([[0.99, -0.14, 0.0], [0.1, 0.99, 0.05]]),
 )
 F = np.linspace(3.0, 70.0, 20)
+STATES = (("idle", 0.0), ("moving", 3e-3))
 HELD = {"hold_x": 0.85, "hold_y": 0.9, "fall_x": 900.0, "fall_y": 500.0}
 
 
-def hit(name: str, feed: float, error: float = 5e-11) -> Condition:
+def hit(name: str, feed: float, error: float = 5e-11, level: float = 0.3) -> Condition:
     """A set of hits along x and y, their compliance known to 0.05 um/kN."""
     entries = tuple((r, e) for r in "xy" for e in "xy")
     std = np.full((F.size, len(entries)), error)
-    data = Excited(F, entries, std, "hammer", 0.3, feed={"x": feed, "y": feed}, controller="K1")
-    return Condition(name, {"feed": feed, "level": 0.3, "controller": "K1"}, data=data)
+    data = Excited(F, entries, std, "hammer", level, feed={"x": feed, "y": feed}, controller="K1")
+    return Condition(name, {"feed": feed, "level": level, "controller": "K1"}, data=data)
 
 
 def measured(held: dict[str, float]) -> MachineOfAxes:
@@ -110,3 +113,25 @@ def test_beside_a_wrong_gain_modes_and_guideways_are_expected_where_they_are() -
     found = {p.name: p.start for p in settled(replace(family, conditions=noisy)).nuisances}
     assert off(found) < 0.012
     assert abs(found["contact_y"] / right - 1.0) < 0.5
+
+
+@pytest.mark.parametrize("levels", [(0.3, 1.0), (1.0, 1.0)])
+def test_fits_with_a_joint_begin_along_the_modes_that_move_it(levels: tuple[float, float]) -> None:
+    """Two levels tell a joint from modes that are softer; hits of one level show none."""
+    side, vector = Side(1200.0, 1450.0, 8e-3, 5e3), np.array([math.cos(2.2), math.sin(2.2)])
+    axes = {a: replace(axis, friction=(side, side), contact=5e8) for a, axis in measured({}).axes.items()}
+    each = ((f"{state} {level} {n}", feed, 2e-9, level) for n, level in enumerate(levels) for state, feed in STATES)
+    sets = tuple(hit(*one) for one in each)
+    family, rng = MachineOfAxes(MODES, sets, axes=axes), np.random.default_rng(0)
+    true = {p.name: p.start for p in (*family.nuisances, *(q for c in family.causes for q in c.parameters))}
+    true |= {"joint_iwan": 0.13, "joint_iwan_travel": 1.5, "joint_iwan_angle_1": 2.2}
+    seen = [(c, family.predict(c, true)) for c in sets]
+    noisy = tuple(replace(c, observed=y + rng.standard_normal(y.size)) for c, y in seen)
+    begun = settled(replace(family, conditions=noisy)).with_cause
+    if levels[0] == levels[1]:
+        assert not begun
+    else:
+        found = begun["joint_micro_slip/iwan"]
+        angle = found["joint_iwan_angle_1"]
+        assert abs(vector @ np.array([math.cos(angle), math.sin(angle)])) > 0.99
+        assert abs(found["joint_iwan"] / 0.13 - 1.0) < 0.3

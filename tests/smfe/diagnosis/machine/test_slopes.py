@@ -1,6 +1,7 @@
 """Claims: slopes in closed form are those of differences of the predictions, of every parameter, whatever acts."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from process.types import Real
 from smfe.diagnosis.frf.noise import Excited
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition, Parameter, Values
+from smfe.diagnosis.machine import family
 from smfe.diagnosis.machine.axes import DeclaredAxis, Gains, Side
 from smfe.diagnosis.machine.family import MachineOfAxes
 
@@ -68,12 +70,8 @@ def far_from_null(model: Model, acting: Mapping[str, float]) -> Real:
     "acting",
     [
         {},
-        {
-            "joint_micro_slip": 4.0,
-            "joint_micro_slip_angle_1": 3.0,
-            "joint_hardening": 6.0,
-            "joint_hardening_angle_1": 2.0,
-        },
+        {"joint_iwan": 15.0, "joint_iwan_angle_1": 3.0, "joint_iwan_travel": -1.0},
+        {"joint_hardening": 6.0, "joint_hardening_angle_1": 2.0},
         {
             "posture_12": 3.0,
             "drift_33": -4.0,
@@ -85,8 +83,10 @@ def far_from_null(model: Model, acting: Mapping[str, float]) -> Real:
     ],
 )
 def test_closed_forms_are_what_differences_show(
-    friction: tuple[Side, Side] | None, acting: Mapping[str, float]
+    friction: tuple[Side, Side] | None, acting: Mapping[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Where every change of a joint's force in a hit is simulated; elements that begin to slip make kinks of 10 %."""
+    monkeypatch.setattr(family, "RULES", replace(family.RULES, followed=0.0))
     closed, differences = model(MachineOfAxes, friction), model(ByDifferences, friction)
     u = far_from_null(closed, {n: x for n, x in acting.items() if n in closed.names})
     every = np.arange(len(closed.names))
@@ -96,8 +96,23 @@ def test_closed_forms_are_what_differences_show(
     whole = np.linalg.norm(np.concatenate(list(expected.values())), axis=0)
     for row in range(3):
         away = np.linalg.norm(found[row] - expected[row], axis=0)
-        assert np.all(away <= 0.01 * whole + 1e-6), np.array(closed.names)[every][away > 0.01 * whole + 1e-6]
+        near = np.where([n.startswith("joint_iwan_") for n in closed.names], 0.1, 0.01)
+        assert np.all(away <= near * whole + 1e-6), np.array(closed.names)[every][away > near * whole + 1e-6]
     assert np.sum(whole > 0.0) > 40
+
+
+@pytest.mark.parametrize("acting", [{"joint_iwan": 15.0, "joint_iwan_angle_1": 3.0}, {"joint_hardening": 6.0}])
+def test_what_hardly_changes_the_force_of_a_joint_need_not_be_simulated(acting: Mapping[str, float]) -> None:
+    """Its force as that of a spring, line by line, is a tenth off where a simulation is not worth its time."""
+    closed, differences = model(MachineOfAxes, STEADY), model(ByDifferences, STEADY)
+    u = far_from_null(closed, acting)
+    every = np.array([j for j, n in enumerate(closed.names) if not n.startswith("joint_")])
+    found, expected = (m.slopes(range(3), u, every) for m in (closed, differences))
+    assert found is not None
+    assert expected is not None
+    one, other = (np.concatenate([x[r] for r in range(3)]) for x in (found, expected))
+    whole = np.linalg.norm(other, axis=0)
+    assert np.all(np.linalg.norm(one - other, axis=0) <= 0.1 * whole + 1e-6)
 
 
 def test_a_sine_on_a_loose_joint_has_no_closed_form() -> None:
@@ -106,7 +121,7 @@ def test_a_sine_on_a_loose_joint_has_no_closed_form() -> None:
     one = plain.conditions[1]
     shaken = Condition("sine", one.settings, data=Excited(F, ENTRIES, np.ones((F.size, 9)), "actuator", 100.0))
     values = plain.values(plain.null())
-    slipping = [p for c in plain.causes if c.key == "joint_micro_slip" for p in c.parameters]
+    slipping = [p for c in plain.causes if c.id == "joint_micro_slip" for p in c.parameters]
     assert plain.family.slopes([shaken], values, slipping) is None
     assert plain.family.slopes([shaken], values, plain.family.nuisances) is not None
 
