@@ -312,7 +312,9 @@ class TestFamily:
                 below, above = (fam.predict(c, values | {p.name: x}) for x in sides)
                 told = (above - below) * p.scale / (sides[1] - sides[0])
                 far = np.linalg.norm(told)
-                assert np.linalg.norm(slope[:, j] - told) < 2e-3 * far + 1e-5, (p.name, c.name)
+                # Elements begin to slip one after another, which a travel moves and a size does not.
+                near = 5e-2 if p.name == "joint_iwan_travel" else 2e-3
+                assert np.linalg.norm(slope[:, j] - told) < near * far + 1e-5, (p.name, c.name)
 
     def test_a_joint_that_a_sine_shakes_has_no_slopes_in_closed_form(self, null: ModalFrfs) -> None:
         joint = next(p for c in null.causes for p in c.parameters if p.name == "joint_micro_slip")
