@@ -47,7 +47,6 @@ from smfe.diagnosis.frf.modal_dynamics import (
 LEAST_DELAY = 1e-6
 """Dead time below which there is none to a hit [s]."""
 
-
 LOST_AT = 60.0
 """Frequency at which a contact loses in time what its loss factor says [Hz]: of the first modes of machines."""
 
@@ -114,8 +113,9 @@ class Pulled(NamedTuple):
     def follows(self) -> Complex:
         """Return how its force changes with its displacement, all amplitudes as they are, (f, 3).
 
-        As that of a spring line by line, ``g/(1 + g r_jj)``, no more than twice what most lines have: where it is
-        hardly moved its force is that of other frequencies.
+        As that of a spring line by line, ``g/(1 + g r_jj)``, of a machine without rotors, where it moves under a force
+        at the tool as the tool does under its own. No more than twice what most lines have: where it is hardly moved
+        its force is that of other frequencies.
         """
         ratio = self.force / np.where(self.reached == 0.0, 1.0, self.reached)
         size = np.abs(ratio)
@@ -156,8 +156,8 @@ def force_in_time(
 def riding(machine: Changed, slides: tuple[Slide, ...], grid: tuple[float, int]) -> Stepped:
     """Return a machine without joints whose modes ride on slides, from step to step of a grid of time.
 
-    In time a contact's loss is viscous, that of `LOST_AT`, and a dead time is an
-    all-pass of second order (Pade): its phase is 1 degree off where it is 1.7 radian.
+    In time a contact's loss is viscous, that of its loss factor at `LOST_AT`, and a dead time an all-pass of second
+    order (Pade), whose phase ``w tau`` is ``(w tau)^5/720`` off: 1 degree at 1.7 radian.
     """
     count, a = len(machine.frequency), len(slides)
     n = count + a

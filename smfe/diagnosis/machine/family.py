@@ -111,8 +111,9 @@ class MachineOfAxes(ModalFrfs):
         feeds = [abs(v) for c in self.conditions for v in self._feed(c).values() if v]
         seen = (*axis_causes(self.axes, min(feeds, default=0.0)), *modal)
         every = [replace(c, begin=self.with_cause.get(c.key, {})) for c in seen]
-        # Beside elements that slip what else hits do is no better known than the course of their slipping.
-        hits = frozenset(name for name in own if name.startswith(RULES.usual))
+        # Beside elements that slip what else hits do is no better known than the course of their slipping: of fits with
+        # the true joint some put hits 10 mm beside their point.
+        hits = frozenset(name for name in own if name.startswith(RULES.of_hits))
         every = [replace(c, unsettles=c.unsettles | hits) if c.id == "joint_micro_slip" else c for c in every]
         return tuple(c for c in every if c.key not in self.without and c.id not in self.without)
 
@@ -324,15 +325,14 @@ class Beside:
         whole = np.linalg.norm(at_tool.reshape(len(at_tool), -1), axis=1)
         name = next(n for n in TIMED if getattr(one.machine, n))
         for place, j in enumerate(which):
-            p, _, high = self.steps[j]
             axes = tuple(np.flatnonzero(size[place] > RULES.followed * whole[place]).tolist())
-            if not axes or (step := high - self.values[p.name]) <= 0.0:
+            if not axes:
                 continue
-            values = {**self.values, p.name: high}
+            values, per = self._aside(j)
             there, slides = self.family.changed(condition, values), self.family.slides(condition, values)
             there = linear(there)._replace(**{name: getattr(there, name)})
             more = force_in_time(there, slides, frequency, shaken, one.machine, axes)
-            change = (more - one.force[:, axes]) * (p.scale / step)
+            change = (more - one.force[:, axes]) * per
             out[place][:, :, axes] = one.reached[:, :, None] * change[:, None, :]
         return out
 
@@ -343,13 +343,18 @@ class Beside:
 
         A difference of two simulations on one grid of time, (f, 3, 3).
         """
-        p, _, high = self.steps[j]
-        step = high - self.values[p.name]
-        more = self.family.changed(condition, {**self.values, p.name: self.values[p.name] + step})
-        if more == here.modes or step <= 0.0:
+        values, per = self._aside(j)
+        more = self.family.changed(condition, values)
+        if more == here.modes:
             return np.zeros_like(phi)
-        changed = moving_compliance(more, here.slides, frequency, shaken, like=here.modes)
-        return np.asarray((changed - phi) * (p.scale / step))
+        return np.asarray((moving_compliance(more, here.slides, frequency, shaken, like=here.modes) - phi) * per)
+
+    def _aside(self, j: int) -> tuple[Values, float]:
+        """Return the values with a parameter a step above, at its upper bound below, and its scale over the step."""
+        p, low, high = self.steps[j]
+        at = self.values[p.name]
+        end = high if high > at else low
+        return {**self.values, p.name: end}, p.scale / (end - at)
 
     def _by_slides(
         self,

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -33,7 +34,8 @@ def begun_with_a_joint(family: MachineOfAxes) -> MachineOfAxes:
 
     What is left beside the causes that have a begin already, which then is that of all conditions, with what was
     declared held as it is known: with all let go gains and momenta go where no joint leads them back from. As it was
-    where hits have one level only; without a begin of a joint where none explains half of what is left.
+    where not all measurements are hits, or hits have one level only; without a begin of a joint where none explains
+    half of what is left.
     """
     every = tuple(c for c in family.conditions if c.observed is not None)
     levels = np.array([abs(excited_of(c).level) for c in every])
@@ -46,6 +48,8 @@ def begun_with_a_joint(family: MachineOfAxes) -> MachineOfAxes:
     for _ in range(RULES.begun_times):
         at = fit(model, target, others, u)
         u = at.u
+    if not np.isfinite(at.chi2):
+        return family
     fitted = model.values(at.u)
     if others:
         last = model.causes[others[-1]].key
@@ -60,11 +64,13 @@ def begun_with_a_joint(family: MachineOfAxes) -> MachineOfAxes:
     if not found or found[0][0] < RULES.joint_promises * (at.chi2 - noise):
         return family
     _, k, v = found[0]
-    mine, sizes = model.of_cause[k], [p for p in model.causes[k].parameters if "_angle_" not in p.name]
-    starts = [at.u.copy() for _ in RULES.joint_sizes for _ in RULES.joint_travels[: len(sizes)]]
-    grid = [(s, *([t] if len(sizes) > 1 else [])) for s in RULES.joint_sizes for t in RULES.joint_travels[: len(sizes)]]
-    for u, size in zip(starts, grid, strict=True):
-        u[mine] = (np.array([*size, *_angles(v)]) - model.start[mine]) / model.scale[mine]
+    mine, starts = model.of_cause[k], list[Real]()
+    travelled = any(p.name.endswith("_travel") for p in model.causes[k].parameters)
+    travels: list[tuple[float, ...]] = [(t,) for t in RULES.joint_travels] if travelled else [()]
+    for size, travel in product(RULES.joint_sizes, travels):
+        u = at.u.copy()
+        u[mine] = (np.array([size, *travel, *_angles(v)]) - model.start[mine]) / model.scale[mine]
+        starts.append(u)
     causes = tuple(sorted((*others, k)))
     best = min(starts, key=lambda u: misfit(model, target, model.nuisance, u, residuals(model, target, u)))
     best = fit(model, target, causes, best, only=mine, loose=RULES.begun_to).u
@@ -87,7 +93,7 @@ def _directions(
     level = level / level.max()
     slopes = family.slopes(conditions, {**model.values(at.u), **dict.fromkeys(names, 0.0)}, springs)
     own = model.slopes(rows, at.u, at.free)
-    if slopes is None or own is None:
+    if slopes is None or own is None or not laws:
         return []
     taken, left = stacked(model, target, at.free, at.u, at.residual, own)
     basis = np.linalg.qr(taken)[0]

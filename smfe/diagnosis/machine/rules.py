@@ -53,8 +53,10 @@ class MachineRules:
     """Of the starts of a cause of modes one in so many is followed: a fit of eighty parameters takes seconds."""
     # where fits begin
     usual: tuple[str, ...] = ("viscous_", "aside_", "reach_", "stir_", "push_", "contact_slip_", "contact_loss_")
-    """Names of what is expected where it usually is, wherever a first fit finds it: what sensors, hits and contacts do.
-    Of modes and momenta nobody knows more than that fit."""
+    """Names of what is expected where it was declared or usually is, wherever a first fit finds it: viscous friction,
+    what sensors, hits and contacts do. Of modes and momenta nobody knows more than that fit."""
+    of_hits: tuple[str, ...] = ("aside_", "reach_", "stir_", "push_", "contact_slip_")
+    """Those of them that say what hits do, which is not held against a joint that slips in them."""
     sure: float = 1e-5  # tolerance of what is declared while the rest is fitted
     temperatures: tuple[float, ...] = (1000.0, 30.0, 1.0)  # by which the squares of the data are divided
     shares: tuple[float, ...] = (1.0, 0.4)  # of the momenta that the mass at the tool suggests, with which fits begin

@@ -316,6 +316,14 @@ class TestFamily:
                 near = 5e-2 if p.name == "joint_iwan_travel" else 2e-3
                 assert np.linalg.norm(slope[:, j] - told) < near * far + 1e-5, (p.name, c.name)
 
+    def test_elements_that_slip_are_never_more_than_the_stiffness_there_is(self, null: ModalFrfs) -> None:
+        """A machine that loses more than it has pushes itself away: 8e10 m/N after a hit ten times as hard."""
+        values = start(null) | {"joint_iwan_travel": 30.0}
+        for lost in (0.01, 0.1, 1.0):
+            share, travel, *_ = null.changed(null.conditions[0], values | {"joint_iwan": lost}).iwan
+            assert share <= 0.95
+            assert share / (2.0 * travel) == pytest.approx(lost)
+
     def test_a_joint_that_a_sine_shakes_has_no_slopes_in_closed_form(self, null: ModalFrfs) -> None:
         joint = next(p for c in null.causes for p in c.parameters if p.name == "joint_micro_slip")
         sines = [c for c in null.conditions if isinstance(c.data, Excited) and c.data.method == "actuator"]

@@ -101,8 +101,29 @@ def test_closed_forms_are_what_differences_show(
     assert np.sum(whole > 0.0) > 40
 
 
+@pytest.mark.parametrize(("name", "size"), [("joint_iwan_angle_1", "joint_iwan"), ("joint_hardening", "")])
+def test_a_joint_at_its_upper_bound_has_the_slope_below_it(name: str, size: str) -> None:
+    """Without it no fit would come back from there."""
+    here = model(MachineOfAxes, STEADY)
+    u = far_from_null(here, {size: 15.0} if size else {})
+    j = here.names.index(name)
+    u[j] = here.high[j]
+    found = here.slopes(range(3), u, np.array([j]))
+    assert found is not None
+    below = u.copy()
+    below[j] -= 1e-3
+    for row in range(3):
+        at, there = here.predict(row, u), here.predict(row, below)
+        assert at is not None
+        assert there is not None
+        assert np.linalg.norm(found[row][:, 0] - (at - there) / 1e-3) < 0.02 * np.linalg.norm(found[row]) + 1e-6
+    assert np.linalg.norm(np.concatenate(list(found.values()))) > 0.1
+
+
 @pytest.mark.parametrize("acting", [{"joint_iwan": 15.0, "joint_iwan_angle_1": 3.0}, {"joint_hardening": 6.0}])
-def test_what_hardly_changes_the_force_of_a_joint_need_not_be_simulated(acting: Mapping[str, float]) -> None:
+def test_what_hardly_changes_the_force_of_a_joint_need_not_be_simulated(
+    acting: Mapping[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its force as that of a spring, line by line, is a tenth off where a simulation is not worth its time."""
     closed, differences = model(MachineOfAxes, STEADY), model(ByDifferences, STEADY)
     u = far_from_null(closed, acting)
@@ -113,6 +134,12 @@ def test_what_hardly_changes_the_force_of_a_joint_need_not_be_simulated(acting: 
     one, other = (np.concatenate([x[r] for r in range(3)]) for x in (found, expected))
     whole = np.linalg.norm(other, axis=0)
     assert np.all(np.linalg.norm(one - other, axis=0) <= 0.1 * whole + 1e-6)
+    # Were nothing simulated it would be more.
+    monkeypatch.setattr(family, "RULES", replace(family.RULES, followed=np.inf))
+    none = model(MachineOfAxes, STEADY).slopes(range(3), u, every)
+    assert none is not None
+    off = np.linalg.norm(np.concatenate([none[r] for r in range(3)]) - other, axis=0)
+    assert np.max(off / np.maximum(whole, 1e-2 * whole.max())) > 0.1
 
 
 def test_a_sine_on_a_loose_joint_has_no_closed_form() -> None:
