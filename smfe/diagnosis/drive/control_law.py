@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.optimize import minimize_scalar
 
 from process.errors import InputError
 from process.types import Real
@@ -48,6 +49,7 @@ class ControlLaw:
     smooth: bool = False
     """Whether it holds behind moving means over a turn of the mains, up to a constant: sample by sample it leaves the
     noise of the encoder's differences."""
+    limit: float = math.inf  # command from which on its integral part stands still [N]
 
     def lag(self, step: float) -> float:
         """Return the lag of the velocity [s] behind the newest encoder value: half a step and the mean tap."""
@@ -95,9 +97,16 @@ class ControlLaw:
         either = [k for k in (0.5 * (both + apart), 0.5 * (both - apart)) if k > 0.0]
         return Gains(min(either, key=lambda k: abs(k - documented), default=both), velocity)
 
-    def command(self, reference: Real, position: Real, step: float) -> Real:
-        """Return the command [N] of the law as it was found, shape (n,)."""
-        return np.asarray(_columns(reference, position, step) @ self.whole)
+    def left(self, reference: Real, position: Real, force: Real, step: float) -> Real:
+        """Return what a command has beyond the law as it was found [N], shape (n,)."""
+        found = force - _columns(reference, position, step, np.abs(force) >= self.limit) @ self.whole
+        if not math.isfinite(self.limit):
+            return np.asarray(found)
+        # Between two samples of the log an integral part may have stood still or not, and is off by that from there on.
+        count = max(round(RULES.apart / step), 1)
+        blocks = np.array_split(np.arange(found.size), max(found.size // count, 1))
+        middle = [float(np.mean(b)) for b in blocks]
+        return np.asarray(found - np.interp(np.arange(found.size), middle, [np.median(found[b]) for b in blocks]))
 
 
 @dataclass(frozen=True)
@@ -136,7 +145,57 @@ def fit_control_law(reference: Real, position: Real, force: Real, step: float, g
     if not np.any(reference - position) or not np.ptp(position):
         raise InputError("the axis does not move, or follows its reference exactly: the record says nothing of the law")
     rows = slice(2 * RULES.taps, position.size - RULES.ahead)
-    return _fitted(_columns(reference, position, step)[rows], force[rows], gains)
+    columns = _columns(reference, position, step)
+    law = _fitted(columns[rows], force[rows], gains)
+    if float(np.std((force - columns @ law.whole)[rows])) <= RULES.better * law.noise:
+        return law
+    # Least absolute values of an integral part may end at a law that holds most of the time. One that leaves no more
+    # than that all of the time is it, and no command was added; nor was one where most of what all the time leaves goes
+    # with an integral part that does not wind up, and what remains is never much more than most of the time.
+    plain = math.inf
+    for limit in (math.inf, _limit(reference, position, force, step, rows)):
+        columns = _columns(reference, position, step, np.abs(force) >= limit)
+        scale = np.sqrt(np.mean(np.square(columns), axis=0))
+        scale[scale == 0.0] = 1.0
+        whole = np.linalg.lstsq((columns / scale)[rows], force[rows], rcond=1e-12)[0] / scale
+        left = (force - columns @ whole)[rows]
+        size = float(np.std(left))
+        held = size <= RULES.held * min(plain, _spread(left) / RULES.held**2)
+        plain = min(plain, size)
+        if size <= RULES.better * law.noise or (held and math.isfinite(limit)):
+            noise = max(size, RULES.floor * float(np.ptp(force)))
+            scatter = _scatter(columns[rows] / scale, left, scale, whole)
+            taps = whole[1 : 1 + RULES.taps]
+            return ControlLaw(gains, taps / taps.sum(), noise, whole, scatter, limit=limit)
+    return law
+
+
+def _limit(reference: Real, position: Real, force: Real, step: float, rows: slice) -> float:
+    """Return the command from which on an integral part that stands still explains most of it [N].
+
+    Controls hold it there, lest it winds up while the drive cannot follow (Astrom and Hagglund, PID Controllers, 1995,
+    section 3.5).
+    """
+    some = slice(rows.start, rows.stop, max(force.size // RULES.values_absolute, 1))
+    integral = slice(1 + RULES.taps, 1 + RULES.taps + RULES.integral)
+    plain = _columns(reference, position, step)
+    unit = np.linalg.qr((plain / np.maximum(np.max(np.abs(plain), axis=0), 1e-300))[some])[0]
+    largest = float(np.max(np.abs(force)))
+
+    def leaves(limit: float) -> float:
+        """Sum of squares that is left with what a limit adds to the law."""
+        own = _columns(reference, position, step, np.abs(force) >= limit)[some, integral]
+        own = np.column_stack([own, force[some]])
+        own = own / np.maximum(np.max(np.abs(own), axis=0), 1e-300)
+        for _ in range(2):
+            own = own - unit @ (unit.T @ own)
+        return float(np.asarray(np.linalg.qr(own, mode="r"))[-1, -1]) ** 2
+
+    tried = largest * np.geomspace(RULES.lowest_held, 1.0, RULES.limits_tried, endpoint=False)
+    found = [leaves(x) for x in tried]
+    best, ratio = int(np.argmin(found)), float(tried[1] / tried[0])
+    near = minimize_scalar(leaves, bounds=(tried[best] / ratio, tried[best] * ratio), method="bounded")
+    return float(near.x if near.fun < found[best] else tried[best])
 
 
 def fit_gains(
@@ -262,12 +321,12 @@ def _solved(columns: Real, force: Real, scale: Real, rest: NDArray[np.int64], ga
     return whole, wanted - unit @ solution
 
 
-def _columns(reference: Real, position: Real, step: float) -> Real:
+def _columns(reference: Real, position: Real, step: float, held: NDArray[np.bool_] | None = None) -> Real:
     """Return what a control makes its command of, shape (n, k).
 
-    Error; backward differences of the encoder, the newest first; its integral, the reference and a constant (integral
-    part); differences of the reference about the sample, whose sums and differences are its velocity and acceleration
-    (feed-forward); its direction (compensation of friction).
+    Error; backward differences of the encoder, the newest first; its integral, the reference, what the error gathers
+    while the integral is `held`, and a constant (integral part); differences of the reference about the sample, whose
+    sums and differences are its velocity and acceleration (feed-forward); its direction (compensation of friction).
     """
     error = reference - position
     difference = np.diff(position, prepend=position[0]) / step
@@ -277,9 +336,10 @@ def _columns(reference: Real, position: Real, step: float) -> Real:
     around = [padded[k : k + feed.size] for k in range(RULES.taps + RULES.ahead + 1)]
     slow = RULES.rest * float(np.max(np.abs(feed)))
     way = np.tanh(feed / slow) if slow > 0.0 else np.zeros_like(feed)
-    return np.stack(
-        [error, *late, step * np.cumsum(error), reference - reference[0], np.ones_like(error), *around, way], axis=1
-    )
+    going = np.ones_like(error) if held is None else np.where(held, 0.0, 1.0)
+    gathered = step * np.cumsum((feed - difference) * (1.0 - going))
+    integral = step * np.cumsum(error * going), step * np.cumsum(feed * going), gathered, np.ones_like(error)
+    return np.stack([error, *late, *integral, *around, way], axis=1)
 
 
 def unlogged_command(
@@ -292,7 +352,7 @@ def unlogged_command(
     as long as half of that stands out, so that noise does not break it up. Its height is the median. Of a smooth law a
     pulse lasts as long as its means are above half of it, and is as high as they become.
     """
-    left = force - law.command(reference, position, step)
+    left = law.left(reference, position, force, step)
     if law.smooth:
         left = _without_mains(left, step)
         left -= np.median(left)

@@ -68,7 +68,11 @@ class DriveRules:
     # control law
     taps: int = 4  # of the velocity filter
     ahead: int = 3  # samples by which a feed-forward may look ahead
-    integral: int = 3  # columns of an integral part: integral, reference, constant
+    integral: int = 4  # columns of an integral part: integral, reference, what it is held from, constant
+    lowest_held: float = 0.05  # least of them over the largest command
+    held: float = 0.5  # share of what a law leaves that one whose integral part stands still may leave
+    apart: float = 0.5  # time over which such a law is off alike [s]
+    limits_tried: int = 60  # commands from which on an integral part may stand still, before the best is refined
     better: float = 1.2  # times what the best law leaves, up to which a simpler one is taken
     absolute: int = 60  # rounds of least absolute values
     values_absolute: int = 20_000  # values that are enough for them, evenly spaced

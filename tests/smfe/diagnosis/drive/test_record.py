@@ -258,6 +258,35 @@ def test_the_control_law_finds_a_command_that_was_not_logged() -> None:
     assert [p.begin for p in pulses] == pytest.approx([0.3 + 0.9 * k for k in range(13)], abs=1e-9)
 
 
+def test_an_integral_part_that_does_not_wind_up_is_no_command_that_was_not_logged() -> None:
+    """A drive gives less than its control asks for when it turns, and the integral stands still meanwhile."""
+    n, limit, friction = 16_000, 1500.0, 3000.0
+    kp, ti, kv, mass = 20_000.0, 0.06, 25.0, 150.0
+    way = np.where(np.arange(n) // 1000 % 2, -1.0, 1.0) * np.array([0.05, 0.12, 0.3, 0.08])[np.arange(n) // 2000 % 4]
+    r = np.cumsum(way) * STEP
+    x = v = integral = before = 0.0
+    q, told = np.zeros(n), np.zeros(n)
+    for k in range(n):
+        q[k] = round(x / 1e-8) * 1e-8
+        error = kv * (r[k] - q[k]) + way[k] - (q[k] - before) / STEP
+        before = q[k]
+        if abs(kp * error + integral) < limit:
+            integral += kp * error * STEP / ti
+        told[k] = kp * error + integral
+        force = min(max(told[k], -limit), limit)
+        for _ in range(4):
+            v += 0.25 * STEP / mass * (force - friction * v)
+            x += 0.25 * STEP * v
+    assert np.mean(np.abs(told) > limit) > 0.02
+    assert np.mean(np.abs(told) < limit) > 0.5
+    gains = Gains(kv, kp)
+    law = fit_control_law(r, q, told, STEP, gains)
+    assert unlogged_command(law, r, q, told, STEP)[1] == ()
+    assert law.limit == pytest.approx(limit, rel=0.1)
+    added = 0.3 * limit * (np.arange(n) % 1500 >= 1440)
+    assert len(unlogged_command(law, r, q, told + added, STEP)[1]) >= 8
+
+
 def test_a_control_law_that_is_obeyed_has_no_pulses(full: DriveRecordFamily) -> None:
     assert full.pulses == ()
     assert "hidden_input/command" not in [c.key for c in full.causes]
@@ -358,7 +387,7 @@ def test_a_law_that_is_not_that_behind_a_band_pass_shows_no_commands(monkeypatch
     assert shown is not None
     assert shown.found.velocity == pytest.approx(VELOCITY_GAIN, rel=0.01)
     assert unlogged_command(law, *channels)[1] == ()
-    wrong = replace(law, whole=law.whole * np.where(np.isin(np.arange(17), range(1, 5)), 0.5, 1.0))
+    wrong = replace(law, whole=law.whole * np.where(np.isin(np.arange(law.whole.size), range(1, 5)), 0.5, 1.0))
     monkeypatch.setattr("smfe.diagnosis.drive.control_law.fit_control_law", lambda *_: wrong)
     other = fit_laws(*channels, Gains(POSITION_GAIN, VELOCITY_GAIN))[0]
     assert len(unlogged_command(replace(wrong, noise=law.noise), *channels)[1]) > 3
@@ -388,12 +417,12 @@ def test_commands_are_found_behind_moving_means_where_noise_of_the_encoder_hides
 def test_noise_does_not_break_up_a_command_that_was_not_logged() -> None:
     """Pulses of twelve standard deviations: fifteen, not the hundreds of pieces in which ten are exceeded."""
     rng, n = np.random.default_rng(0), 15_000
-    taps = np.zeros(17)
+    taps = np.zeros(18)
     taps[0], taps[1] = VELOCITY_GAIN * POSITION_GAIN, -VELOCITY_GAIN
     law = ControlLaw(Gains(POSITION_GAIN, VELOCITY_GAIN), np.array([1.0, 0.0, 0.0, 0.0]), 1.0, taps)
     r = 0.01 * np.sin(2.0 * np.pi * 0.5 * STEP * np.arange(n))
     q = r - 1e-6 * np.gradient(r, STEP)
-    force = law.command(r, q, STEP) + rng.standard_normal(n) + 12.0 * (np.arange(n) % 1000 >= 940)
+    force = -law.left(r, q, np.zeros(n), STEP) + rng.standard_normal(n) + 12.0 * (np.arange(n) % 1000 >= 940)
     found = unlogged_command(law, r, q, force, STEP, 0.0)[1]
     assert len(found) == 15
     assert [p.height for p in found] == pytest.approx([12.0] * 15, rel=0.05)
