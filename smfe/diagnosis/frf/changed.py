@@ -26,7 +26,8 @@ class Changed(NamedTuple):
     residual: tuple[float, ...] = ()  # compliance of what is above the band: xx, yy, zz, xy, yz, zx [m/N]
     iwan: tuple[float, ...] = ()
     """Joint whose elements have a largest travel (Iwan 1966): share of the stiffness of a mode that they are, amplitude
-    over that of reference at which all of them slip, its unit vector v."""
+    over that of reference at which all of them slip, its unit vector v. Of a share beyond `RULES.largest_share` those
+    that slip last are not there."""
 
 
 class Shaken(NamedTuple):

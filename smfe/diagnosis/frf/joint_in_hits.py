@@ -129,7 +129,10 @@ def _law(machine: Changed, reference: float) -> tuple[float, int, float, float]:
         # The mean stiffness of a sine of amplitude a is 3/4 of the cubic one times a^2.
         return machine.hardening[0] / 0.75 / reference**2, 0, 0.0, 1.0
     share, travel = machine.iwan[:2]
-    return 0.0, RULES.hit_elements, share / RULES.hit_elements, travel * reference / RULES.hit_elements
+    each = min(share / RULES.hit_elements, RULES.largest_share)
+    # How far apart they slip is what small vibration sees, and does not depend on how many slip beyond it.
+    count = min(RULES.hit_elements, int(RULES.largest_share / each))
+    return 0.0, count, each, travel * reference / RULES.hit_elements
 
 
 def force_in_hits(

@@ -25,6 +25,7 @@ from process.machine.modes import ModalModel
 from process.types import Complex, Real
 from smfe.diagnosis.frf.changed import Changed, Shaken
 from smfe.diagnosis.frf.joint_in_hits import TIMED, force_in_hits
+from smfe.diagnosis.frf.rules import RULES
 
 RAYLEIGH_LOSS = 4.0 / (3.0 * np.pi)
 """Loss factor over loss of stiffness of a joint whose stiffness falls in proportion to the amplitude."""
@@ -190,7 +191,8 @@ def joints(machine: Changed) -> list[Joint]:
     found = [Joint(joint[0], np.array(joint[1:]), law) for joint, law in both if joint]
     if machine.iwan:
         share, travel, *vector = machine.iwan
-        found.append(Joint(share, np.array(vector), partial(_spent, travel)))
+        there = min(1.0, RULES.largest_share / share)
+        found.append(Joint(there * share, np.array(vector), partial(_spent, there * travel)))
     return found
 
 

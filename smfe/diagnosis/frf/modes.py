@@ -62,9 +62,6 @@ ACCELEROMETERS = {"laser": 0.0, "two": 2.0}
 
 JOINTS = ("joint_micro_slip", "joint_hardening")
 
-LARGEST_SHARE = 0.95
-"""Share of the stiffness that elements of a joint which slip are at most."""
-
 MODE = ("mode_compliance", "mode_frequency", "mode_damping", "mode_azimuth", "mode_elevation")
 """Parameters of a further mode, its size first."""
 
@@ -466,9 +463,8 @@ class ModalFrfs(Abilities):
             return ()
         if which != "iwan":
             return (values[size], *self._vector(values, size))
-        # Rayleigh's law: elements of a share s whose travels go up to D lose s X/(2 D) at an amplitude X. They are no
-        # more than all of the stiffness: beyond, a machine whose elements all slip would push itself away.
-        travel = min(values["joint_iwan_travel"], 0.5 * LARGEST_SHARE / values[size])
+        # Rayleigh's law: elements of a share s whose travels go up to D lose s X/(2 D) at an amplitude X.
+        travel = values["joint_iwan_travel"]
         return (2.0 * travel * values[size], travel, *self._vector(values, size))
 
     def _mode_slope(self, machine: Changed, frequency: Real, values: Values, name: str) -> Complex:

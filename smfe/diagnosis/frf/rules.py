@@ -78,6 +78,8 @@ class FrfRules:
     contact_loss: float = 1.2e-4  # its damping over its stiffness [s]
     elements: int = 20  # Jenkins elements of a joint with micro-slip
     hit_elements: int = 40  # the same in hits on modes: each that begins to slip bends a slope a little
+    largest_share: float = 0.95
+    """Share of the stiffness that they are at most: a machine that lost more than it has would push itself away."""
     steps_a_period: float = 16.0  # of the highest mode that moves a joint in a hit: 1 % of what the joint does
     died_away: float = 0.03  # amplitude of the slowest mode over its first at which the simulation of a hit ends
     least_steps: int = 64  # of such a simulation
