@@ -122,6 +122,7 @@ class InferenceRules:
     worth_a_search: float = 0.25  # share of what is material that must be left for another cause to be looked for
     worth_pairs: float = 1.0  # the same for pairs of causes
     named_share: float = 0.9  # share of the repeatable error from which causes count as named beside a remainder
+    drowned: float = 3.0  # size of noise alone over what is material beyond which a condition does not say what matters
     noise_draws: int = 200  # of noise, for what it does to a size
     noise_quantile: float = 0.99  # of them, which a size that counts exceeds
     # next experiment

@@ -26,7 +26,7 @@ from smfe.diagnosis.inference.model import Index, Model
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import orthonormal
 
-SEPARATE = frozenset({"sensor_gain", "sensor_axis"})
+SEPARATE = frozenset({"sensor_gain", "sensor_axis", "servo_gains", "loop_delay"})
 """Ids whose parameters are faults of their own, of one channel or axis: none says that another is there."""
 
 Size = Callable[[Real, Real, str], float]

@@ -101,6 +101,10 @@ def diagnose(
         for last in (not family.prepares_data, False, True):
             bench, apart = _prepared(family, conditions, seed, progress, held_out, helpers, worth)
             bench.known = known
+
+            def promised(at: Fit, bench: Bench = bench) -> float:
+                return sum(r.ratio - RULES.penalty * len(r.values[0]) for r in _contradicted(bench, at, worth))
+
             # A parameter that is known within a prior asks for no value of its own.
             values, nuisances = _values(bench), int(np.sum(bench.model.weight[bench.model.nuisance] == 0.0))
             if values <= nuisances:
@@ -108,7 +112,7 @@ def diagnose(
             at, steps = bench.null(), list[Step]()
             # As long as the data are prepared without a cause, one is enough to prepare them better.
             if at.converged or bench.hopeless(at):
-                at, steps = search(bench, RULES.most_causes if last or assumed else 1)
+                at, steps = search(bench, RULES.most_causes if last or assumed else 1, released=promised)
             if not at.converged:
                 return Finding("insufficient_data", f"the baseline could not be fitted: {at.reason}")
             if last or at.causes == assumed:

@@ -64,12 +64,24 @@ class Worth:
         return max(machine, self.of_causes(model, rows, before, seen, True))
 
     def left(self, model: Model, residual: Mapping[int, Real], rng: np.random.Generator) -> float:
-        """Return the size of a misfit beyond noise [1]."""
+        """Return the size of a misfit beyond noise [1].
+
+        Where each condition counts, those are left out in which noise alone is many times what is material: how often
+        it is more than that depends on how it is distributed far out, which nobody knows.
+        """
         found: list[float] = []
         every = len(residual)
+        noises = {r: _noise(model, model.conditions[r], x.size, rng) for r, x in residual.items()}
+        drowned = [
+            r
+            for r, noise in noises.items()
+            if model.family.each_counts and float(np.mean(noise)) > (RULES.drowned * self.material) ** 2 > 0.0
+        ]
         for r, x in residual.items():
-            condition = model.conditions[r]
-            noise = _noise(model, condition, x.size, rng)
+            condition, noise = model.conditions[r], noises[r]
+            if r in drowned and len(drowned) < every:
+                found.append(0.0)
+                continue
             over = model.family.squared_size(condition, x) - float(np.mean(noise))
             # Where each condition counts the largest of them is looked at.
             level = 1.0 - (1.0 - RULES.noise_quantile) / (every if model.family.each_counts else 1)

@@ -8,7 +8,7 @@ mask each other. Where what is left is far from material nothing more is looked 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -36,16 +36,29 @@ class Step:
     reason: str = ""  # why not
 
 
-def search(bench: Bench, most: int = RULES.most_causes, begin: tuple[int, ...] = ()) -> tuple[Fit, list[Step]]:
+def search(
+    bench: Bench,
+    most: int = RULES.most_causes,
+    begin: tuple[int, ...] = (),
+    released: Callable[[Fit], float] | None = None,
+) -> tuple[Fit, list[Step]]:
     """Add causes as long as they pass, and drop what has become idle; `begin` with some that are known.
 
-    Return the fit that remains and the steps that led there, refused ones included.
+    Return the fit that remains and the steps that led there, refused ones included. Where a fit leaves no more than
+    noise, nothing is added that explains less than what was declared does once it is `released`: its likelihood ratio,
+    less the charge for its parameters.
     """
     steps: list[Step] = []
-    return _within_limits(bench, _searched(bench, most, begin, steps), steps), steps
+    return _within_limits(bench, _searched(bench, most, begin, released, steps), steps), steps
 
 
-def _searched(bench: Bench, most: int, begin: tuple[int, ...], steps: list[Step]) -> Fit:
+def _searched(
+    bench: Bench,
+    most: int,
+    begin: tuple[int, ...],
+    released: Callable[[Fit], float] | None,
+    steps: list[Step],
+) -> Fit:
     """Add and drop causes until nothing more passes."""
     at = bench.null()
     if begin and (known := bench.extend(at, begin)).converged:
@@ -54,6 +67,10 @@ def _searched(bench: Bench, most: int, begin: tuple[int, ...], steps: list[Step]
     while len(at.causes) < most and (not at.causes or bench.matters(at, RULES.worth_a_search) or _hides(bench, at)):
         step = _best_step(bench, at, steps)
         if step is None:
+            return bench.fits[at.causes]
+        if released is not None and not bench.bad(at) and released(at) > _merit(bench, at, step):
+            reason = "what was declared explains more of it where it is otherwise"
+            steps[-1] = replace(steps[-1], accepted=False, reason=reason)
             return bench.fits[at.causes]
         at, refused, taken = bench.fits[at.causes], {s.causes: s.chi2 for s in steps if not s.accepted}, len(steps) - 1
         smaller = _drop_idle(bench, step, steps)

@@ -185,7 +185,7 @@ def _without_cause(
     tried = [bench.fits[s.causes] for s in steps if not s.accepted and _borne_out(s)]
     best = min((f for f in tried if f.converged), key=lambda f: f.chi2, default=None)
     sized = 0.0 if best is None else _beyond_baseline(bench, at, best, worth)
-    if max(size, sized) >= worth.material or found.verdict == "insufficient_data":
+    if max(size, sized) >= worth.material or (found.verdict == "insufficient_data" and best is None):
         return replace(found, size=size)
     small = () if best is None else best.causes
     words = f"{bench.words(small)}, too" if small else f"{_percent(size)} of what was measured, too"

@@ -59,7 +59,13 @@ class MachineRules:
     """Those of them that say what hits do, which is not held against a joint that slips in them."""
     sure: float = 1e-5  # tolerance of what is declared while the rest is fitted
     temperatures: tuple[float, ...] = (1000.0, 30.0, 1.0)  # by which the squares of the data are divided
-    shares: tuple[float, ...] = (1.0, 0.4)  # of the momenta that the mass at the tool suggests, with which fits begin
+    hot: tuple[float, ...] = (1e5, 1e4)  # temperatures before the first, of starts that it alone leads astray
+    small: float = 0.4  # share of the momenta that the mass at the tool suggests, of other starts
+    mixed: int = 3  # starts whose axes begin each in a way of its own
+    cooled: int = 3  # starts that are followed from the first temperature on until one ends near the data
+    softer: float = 1.5  # power of the frequency of a mode with which it takes less momentum where a slide moves evenly
+    most_as_a_whole: float = 0.9  # largest sum of squares of momenta of slides that move as a whole
+    aligned: float = 1e-3  # relative singular value below which modes do not move the tool along an axis
     near: float = 0.05  # misfit beyond noise over what the data are beyond it, below which no sign is wrong
     near_enough: float = 0.1  # the same, at the first temperature, of a start beside which no other is followed
     damping: float = 0.01  # of the first step, over the diagonal of the normal equations

@@ -8,14 +8,17 @@ of the priors on (tempering), each step by Levenberg and Marquardt's method.
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from itertools import product
 
 import numpy as np
 
+from process.labels import AXES
 from process.types import Real
 from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.inference.fit import Target, residuals, stacked
 from smfe.diagnosis.inference.model import Model
-from smfe.diagnosis.inference.problem import Condition
+from smfe.diagnosis.inference.problem import Condition, Family
+from smfe.diagnosis.machine.dynamics import unbounded
 from smfe.diagnosis.machine.family import MachineOfAxes
 from smfe.diagnosis.machine.joint_start import begun_with_a_joint
 from smfe.diagnosis.machine.rules import RULES
@@ -103,23 +106,69 @@ def _one_each(conditions: tuple[Condition, ...]) -> tuple[Condition, ...]:
 def _descended(model: Model, target: Target, causes: tuple[int, ...]) -> tuple[Real, Real, float]:
     """Return scaled values near the optimum of a hypothesis, and their misfit, by the best of some starts.
 
-    The values come first as the first temperature has them. A start that leads near the data is enough.
+    The values come first as the first temperature has them. A start that leads near the data is enough: momenta of a
+    mass at the tool, or of slides that move as a whole, straight away or from higher temperatures on. Without any
+    friction, where nobody declared some, none does.
     """
     first = RULES.temperatures[0]
-    moments = [j for j, name in enumerate(model.names) if name.startswith("momentum_")]
     begun = model.null()
     for k in causes:
         mine = model.of_cause[k]
         begun[mine] = (np.array(model.causes[k].starts[0]) - model.start[mine]) / model.scale[mine]
+    small, whole = begun.copy(), begun.copy()
+    for name, momentum in _as_a_whole(model.family).items():
+        j = model.names.index(name)
+        small[j] = (RULES.small - 1.0) * model.start[j] / model.scale[j]
+        whole[j] = (momentum - model.start[j]) / model.scale[j]
+    ways = [(begun, ()), (begun, RULES.hot), (whole, RULES.hot), (small, ())]
+    undeclared = not causes and any(c.id == "guideway_friction" for c in model.causes)
+    if not undeclared:
+        # Each axis has valleys of its own: what leads one of them astray may be right for another.
+        axis = np.array([name.split("_")[1] if name.startswith("momentum_") else "" for name in model.names])
+        axes = np.unique(axis[axis != ""])
+        mixes = [m for m in product((begun, small, whole), repeat=axes.size) if len({id(u) for u in m}) > 1]
+        for n, place in enumerate(np.random.default_rng(0).permutation(len(mixes))[: RULES.mixed]):
+            u = begun.copy()
+            for a, other in zip(axes, mixes[place], strict=True):
+                u[axis == a] = other[axis == a]
+            ways.append((u, RULES.hot if n % 2 else ()))
     tried: list[tuple[Real, float]] = []
-    for share in RULES.shares:
-        u = begun.copy()
-        u[moments] = (share - 1.0) * model.start[moments] / model.scale[moments]
-        tried.append(_at_temperature(model, target, u, first, causes))
-        if _near(target, first * tried[-1][1], RULES.near_enough):
+    for u, hot in ways:
+        for temperature in (*hot, first):
+            u, cost = _at_temperature(model, target, u, temperature, causes)
+        tried.append((u, cost))
+        if _near(target, first * cost, RULES.near_enough):
             break
-    warm = min(tried, key=lambda one: one[1])[0]
-    return warm, *_cooled(model, target, warm, causes)
+    found: list[tuple[Real, Real, float]] = []
+    for warm, _ in sorted(tried, key=lambda one: one[1])[: RULES.cooled]:
+        found.append((warm, *_cooled(model, target, warm, causes)))
+        if undeclared or _near(target, found[-1][2]):
+            break
+    return min(found, key=lambda one: one[2])
+
+
+def _as_a_whole(family: Family) -> dict[str, float]:
+    """Return momenta with which all modes together move the tool as much as a slide that moves as a whole.
+
+    The modes of the held slide are complete: ``sum_r V_r lambda_ar = e_a / sqrt(m_a)``, V_r the direction of mode r
+    over the square root of its mass (Craig and Bampton, AIAA J. 6, 1968). Of the momenta that give this the smallest
+    are taken, those of the lower modes counting less: what moves evenly bends its softest springs.
+    """
+    assert isinstance(family, MachineOfAxes)
+    m = family.model
+    ease = np.where(m.frequency <= family.top, m.frequency**-RULES.softer, 0.0)
+    shape = (m.direction / np.sqrt(m.mass)[:, None]).T
+    share = np.zeros((len(family.axes), m.frequency.size))
+    for i, (a, axis) in enumerate(family.axes.items()):
+        if axis.coupling is not None:
+            return {}
+        unit = np.eye(3)[AXES.index(a)] / np.sqrt(axis.moving_mass)
+        share[i] = ease * np.linalg.lstsq(shape * ease, unit, rcond=RULES.aligned)[0]
+    largest = float(np.linalg.eigvalsh(share @ share.T)[-1]) if len(share) else 0.0
+    free = unbounded(share * min(1.0, np.sqrt(RULES.most_as_a_whole / max(largest, 1e-300))))
+    return {
+        f"momentum_{a}_{r + 1}": float(x) for a, row in zip(family.axes, free, strict=True) for r, x in enumerate(row)
+    }
 
 
 def _cooled(model: Model, target: Target, u: Real, causes: tuple[int, ...]) -> tuple[Real, float]:

@@ -415,6 +415,25 @@ def test_the_size_of_a_misfit_is_all_of_it_but_the_noise_that_was_measured():
     assert limit == pytest.approx(1.0 / of, rel=0.2)
 
 
+def test_a_condition_whose_noise_is_many_times_what_is_material_does_not_say_what_is_left():
+    """Its noise is hardly normal far out: one of a hundred times it is more than that, and nothing is wrong."""
+
+    class Drowned(Scaled):
+        each_counts = True
+
+        def squared_size(self, condition, misfit):
+            noisy = int(condition.settings["speed"]) == 5
+            return (0.3 if noisy else 0.01) ** 2 * float(np.mean(misfit**2))
+
+    one = Drowned(measured({}).conditions)
+    model, rng = Model(one, one.conditions), np.random.default_rng(0)
+    quiet = {r: rng.standard_normal(N) for r in range(5)}
+    assert WORTH.left(model, quiet | {5: 3.0 * rng.standard_normal(N)}, rng) == 0.0
+    assert WORTH.left(model, quiet | {4: 10.0 * rng.standard_normal(N)}, rng) == pytest.approx(0.1, rel=0.2)
+    # Where all are so noisy the largest is all that there is.
+    assert WORTH.left(Model(one, one.conditions[5:]), {0: 3.0 * rng.standard_normal(N)}, rng) > 0.5
+
+
 def test_a_declared_value_that_has_to_be_impossible_is_not_named():
     bounded = replace(declared("coefficients", "force_coefficients"), high=0.5), declared("gain", "sensor_gain", 0.01)
     far, near = (

@@ -124,6 +124,32 @@ def test_what_was_refused_alone_is_held_against_the_data_again_where_a_pair_find
     assert [s.accepted for s in steps] == ([False, False, True] if end else [False, False])
 
 
+@pytest.mark.parametrize(("bad", "released", "end"), [(False, 80.0, ()), (False, 40.0, (0,)), (True, 80.0, (0,))])
+def test_of_what_noise_could_be_nothing_is_a_cause_that_a_declared_value_explains_better(
+    monkeypatch, bad, released, end
+):
+    def fitted(causes, chi2):
+        return Fit(causes, np.zeros(0, dtype=np.int64), np.zeros(0), chi2, {}, {}, True)
+
+    fits = {(): fitted((), 1000.0), (0,): fitted((0,), 940.0)}
+
+    def step(one, at, steps):
+        if not at.causes:
+            steps.append(Step((0,), "+ joint", 60.0, 12.0, None, 940.0, True))
+        return None if at.causes else fits[0,]
+
+    monkeypatch.setattr(module, "_best_step", step)
+    monkeypatch.setattr(module, "_drop_idle", lambda one, at, steps: at)
+    monkeypatch.setattr(module, "_merit", lambda one, at, found: at.chi2 - found.chi2)
+    monkeypatch.setattr(module, "on_bound", lambda model, found, causes: "")
+    stub = SimpleNamespace(
+        model=None, fits=fits, null=lambda: fits[()], bad=lambda at: bad, matters=lambda at, share: True
+    )
+    at, steps = search(stub, released=lambda at: released)
+    assert at.causes == end
+    assert steps[0].accepted == bool(end)
+
+
 @pytest.mark.parametrize("chi2", [{0: 100.0, 1: 2000.0}, {0: 2000.0, 1: 100.0}, {1: 100.0}])
 def test_what_fitted_nearly_the_same_data_best_is_tried_first(chi2):
     one = measured(3.0)
