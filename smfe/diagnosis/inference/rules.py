@@ -70,6 +70,7 @@ class InferenceRules:
     """Share of what a cause that explains most has explained, below which another is not fitted, to first order."""
     worth_a_pair: float = 0.6  # share of the threshold, to first order, from which a pair is fitted
     shapes: int = 2  # shapes of a cause from which it is fitted
+    crept: float = 1e-3  # share of what a fit has gained that it may promise still where it did not end
     pursued: int = 3  # times that the best fit is followed where it did not end
     close: float = 5.0  # chi-square below the threshold from which a cause is looked at
     far: float = 50.0  # chi-square behind the best from which a cause has lost

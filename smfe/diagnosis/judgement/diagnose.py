@@ -740,7 +740,7 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> Real:
     size and of the scatter of what each condition by itself does to the estimate (sandwich with the conditions as
     clusters; Liang and Zeger, Biometrika 73, 1986). What the family says that its predictions may be off comes on top.
     """
-    slope, _ = stacked(bench.model, bench.target, at.free, at.u, at.residual, at.slope)
+    slope, misses = stacked(bench.model, bench.target, at.free, at.u, at.residual, at.slope)
     size = np.linalg.norm(slope, axis=0)
     moving = inside(bench.model, at) & (size > 0.0)
     rotated, singular, right = decomposed((slope / np.where(size > 0.0, size, 1.0))[:, moving])
@@ -757,6 +757,8 @@ def deviations(bench: Bench, at: Fit, left: Misfit | None) -> Real:
         robust = np.sqrt(scatter + np.sum(np.square(prior), axis=1))
         sd[moving] = np.maximum(sd[moving] * math.sqrt(max(left.ratio, 1.0)), robust)
         sd[moving] = np.hypot(sd[moving], inverse @ _omitted(bench, at))
+    # A fit that has not quite ended is off by the step that it has not taken.
+    sd[moving] = np.hypot(sd[moving], inverse @ misses)
     sd[moving] = np.hypot(sd[moving], _off(bench.model, at, moving))
     # Parameters that are seen only together have no interval each: their variance would come out as zero.
     sd[moving] = np.where(1.0 - np.sum(np.square(right[known]), axis=0) > RULES.shared**2, np.inf, sd[moving])

@@ -9,6 +9,7 @@ import pytest
 from smfe.diagnosis.inference.fit import Fit, Target
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
+from smfe.diagnosis.judgement import hypotheses
 from smfe.diagnosis.judgement import search as module
 from smfe.diagnosis.judgement.declared import Released
 from smfe.diagnosis.judgement.diagnose import as_declared, diagnose
@@ -148,6 +149,19 @@ def test_of_what_noise_could_be_nothing_is_a_cause_that_a_declared_value_explain
     at, steps = search(stub, released=lambda at: released)
     assert at.causes == end
     assert steps[0].accepted == bool(end)
+
+
+@pytest.mark.parametrize(("share", "used"), [(1e-4, True), (1e-2, False)])
+def test_what_creeps_and_promises_next_to_nothing_of_what_it_gained_has_ended(monkeypatch, share, used):
+    """Fits with the elements of a joint creep along a valley of their travel: no answer came in 300 s."""
+    one = measured(3.0)
+    at = one.null()
+    best = one.extend(at, (0,))
+    left = replace(best, converged=False, reason="a step promises more", promised=share * (at.chi2 - best.chi2))
+    again = measured(3.0)
+    monkeypatch.setattr(again, "_extended", lambda *_: left)
+    monkeypatch.setattr(hypotheses, "nearest", lambda model, target, found, added: found)
+    assert again.extend(again.null(), (0,)).converged == used
 
 
 @pytest.mark.parametrize("chi2", [{0: 100.0, 1: 2000.0}, {0: 2000.0, 1: 100.0}, {1: 100.0}])
