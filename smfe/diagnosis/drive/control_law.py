@@ -144,30 +144,38 @@ def fit_control_law(reference: Real, position: Real, force: Real, step: float, g
     """
     if not np.any(reference - position) or not np.ptp(position):
         raise InputError("the axis does not move, or follows its reference exactly: the record says nothing of the law")
-    rows = slice(2 * RULES.taps, position.size - RULES.ahead)
+    rows, taken = slice(2 * RULES.taps, position.size - RULES.ahead), slice(1, 1 + RULES.taps)
     columns = _columns(reference, position, step)
     law = _fitted(columns[rows], force[rows], gains)
     if float(np.std((force - columns @ law.whole)[rows])) <= RULES.better * law.noise:
         return law
     # Least absolute values of an integral part may end at a law that holds most of the time. One that leaves no more
-    # than that all of the time is it, and no command was added; nor was one where most of what all the time leaves goes
-    # with an integral part that does not wind up, and what remains is never much more than most of the time.
-    plain = math.inf
-    for limit in (math.inf, _limit(reference, position, force, step, rows)):
-        columns = _columns(reference, position, step, np.abs(force) >= limit)
-        scale = np.sqrt(np.mean(np.square(columns), axis=0))
-        scale[scale == 0.0] = 1.0
-        whole = np.linalg.lstsq((columns / scale)[rows], force[rows], rcond=1e-12)[0] / scale
-        left = (force - columns @ whole)[rows]
-        size = float(np.std(left))
-        held = size <= RULES.held * min(plain, _spread(left) / RULES.held**2)
-        plain = min(plain, size)
-        if size <= RULES.better * law.noise or (held and math.isfinite(limit)):
-            noise = max(size, RULES.floor * float(np.ptp(force)))
-            scatter = _scatter(columns[rows] / scale, left, scale, whole)
-            taps = whole[1 : 1 + RULES.taps]
-            return ControlLaw(gains, taps / taps.sum(), noise, whole, scatter, limit=limit)
+    # than that, or next to nothing of the force, all of the time is it, and no command was added; unless it has taken
+    # the axis for its control, which adds what was added to the command to what the encoder says.
+    plain, left = _squares(columns, force, rows, gains)
+    same = abs(plain.whole[taken].sum() - law.whole[taken].sum()) <= RULES.same_gain * abs(law.whole[taken].sum())
+    little = plain.noise <= RULES.better * law.noise or np.max(np.abs(left)) <= RULES.nothing * np.std(force)
+    if same and little:
+        return plain
+    # Nor was one where most of what this leaves goes with an integral part that does not wind up, and what then remains
+    # is never much more than most of the time.
+    limit = _limit(reference, position, force, step, rows)
+    held, left = _squares(_columns(reference, position, step, np.abs(force) >= limit), force, rows, gains)
+    if held.noise <= min(RULES.held * plain.noise, _spread(left) / RULES.held):
+        return replace(held, limit=limit)
     return law
+
+
+def _squares(columns: Real, force: Real, rows: slice, gains: Gains) -> tuple[ControlLaw, Real]:
+    """Return the law of all columns by least squares of all values, none of them left out, and what it leaves [N]."""
+    scale = np.sqrt(np.mean(np.square(columns), axis=0))
+    scale[scale == 0.0] = 1.0
+    whole = np.linalg.lstsq((columns / scale)[rows], force[rows], rcond=1e-12)[0] / scale
+    left = (force - columns @ whole)[rows]
+    taps = whole[1 : 1 + RULES.taps]
+    shape = taps / taps.sum() if taps.sum() else np.eye(RULES.taps)[0]
+    noise = max(float(np.std(left)), RULES.floor * float(np.ptp(force)))
+    return ControlLaw(gains, shape, noise, whole, _scatter(columns[rows] / scale, left, scale, whole)), left
 
 
 def _limit(reference: Real, position: Real, force: Real, step: float, rows: slice) -> float:
@@ -348,9 +356,11 @@ def unlogged_command(
     """Return what was added to the command of the law [N], sample by sample, and its pulses.
 
     A pulse is what stands out by ten standard deviations of the noise, by 2 % of the highest and by a share of the rms
-    of the force, `material`, for three samples or more, of medians over five that leave edges where they are; it lasts
-    as long as half of that stands out, so that noise does not break it up. Its height is the median. Of a smooth law a
-    pulse lasts as long as its means are above half of it, and is as high as they become.
+    of the force, `material`, for three samples or more, of medians over five that leave edges where they are, with an
+    impulse of that share for 10 ms (clocks a part of a sample apart leave less where a move begins). It lasts as long
+    as half of that stands out, so that noise does not break it up. Its height is the median. Of a smooth law a pulse
+    lasts as long as its means are above half of it, and is as high as they become. Of a law whose integral part stands
+    still at a limit only what is shorter than half a second is told.
     """
     left = law.left(reference, position, force, step)
     if law.smooth:
@@ -372,7 +382,9 @@ def unlogged_command(
             part = slice(int(high[0]), int(high[-1]) + 1)
         top = np.flatnonzero(size[part] > RULES.top * float(size[part].max())) if law.smooth else slice(None)
         height = float(np.median(left[part][top]))
-        pulses.append(Pulse(float(part.start * step), float(part.stop * step), height))
+        pulse = Pulse(float(part.start * step), float(part.stop * step), height)
+        if abs(height) * (pulse.end - pulse.begin) >= RULES.shortest * material * float(np.std(force)):
+            pulses.append(pulse)
     return left, tuple(pulses)
 
 

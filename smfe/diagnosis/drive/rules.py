@@ -69,10 +69,11 @@ class DriveRules:
     taps: int = 4  # of the velocity filter
     ahead: int = 3  # samples by which a feed-forward may look ahead
     integral: int = 4  # columns of an integral part: integral, reference, what it is held from, constant
-    lowest_held: float = 0.05  # least of them over the largest command
+    nothing: float = 0.02  # share of the rms of the force below which a law leaves nothing anywhere
+    limits_tried: int = 60  # commands from which on an integral part may stand still, before the best is refined
+    lowest_held: float = 0.05  # the least of these over the largest command
     held: float = 0.5  # share of what a law leaves that one whose integral part stands still may leave
     apart: float = 0.5  # time over which such a law is off alike [s]
-    limits_tried: int = 60  # commands from which on an integral part may stand still, before the best is refined
     better: float = 1.2  # times what the best law leaves, up to which a simpler one is taken
     absolute: int = 60  # rounds of least absolute values
     values_absolute: int = 20_000  # values that are enough for them, evenly spaced
@@ -81,6 +82,7 @@ class DriveRules:
     top: float = 0.9  # of the height of a pulse behind moving means, from which it counts as its height
     pulse_share: float = 0.02  # of the highest pulse, from which others count
     shortest_pulse: int = 3  # [samples]
+    shortest: float = 0.01  # time for which a material force has the least impulse of a pulse [s]
     told: float = 5e-3  # standard deviation of the gains that an exact law shows [1]
     off: float = 3.0  # the same over the share that a law leaves: of twelve records the rms was 1.7, the worst 3.4
     means: tuple[float, ...] = (0.02, 1.0 / 60.0)  # moving means behind which gains are found: turns of the mains [s]

@@ -1,6 +1,7 @@
 """Drive records of the independent generator: bristle friction, a sampled controller, an encoder."""
 
 import math
+import pathlib
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +11,13 @@ from exam.drive import family as hidden
 from exam.subjects import Without
 from samples.drive_steps import force_steps
 from truth.drive import STEP, Axis, simulate
+from truth.imperfect.families import draw
 
 from process.errors import InputError
 from process.labels import make_record
+from smfe.campaign import load_campaign
+from smfe.campaign.campaign import RigidDrive
+from smfe.diagnosis.cases.drive import unlogged_suspects
 from smfe.diagnosis.drive.balance import Channels, balance_of, check_balance, lost_beyond
 from smfe.diagnosis.drive.control_law import ControlLaw, Gains, fit_control_law, fit_gains, fit_laws, unlogged_command
 from smfe.diagnosis.drive.filters import Motion, Path, Resampler, motion, moves, presliding, standing
@@ -283,8 +288,48 @@ def test_an_integral_part_that_does_not_wind_up_is_no_command_that_was_not_logge
     law = fit_control_law(r, q, told, STEP, gains)
     assert unlogged_command(law, r, q, told, STEP)[1] == ()
     assert law.limit == pytest.approx(limit, rel=0.1)
-    added = 0.3 * limit * (np.arange(n) % 1500 >= 1440)
-    assert len(unlogged_command(law, r, q, told + added, STEP)[1]) >= 8
+    # One that was given is found though the law is found beside it.
+    given = told + 0.3 * limit * (np.arange(n) % 1500 >= 1440)
+    pulses = unlogged_command(fit_control_law(r, q, given, STEP, gains), r, q, given, STEP)[1]
+    assert len([p for p in pulses if round(p.begin / STEP) % 1500 in range(1430, 1450)]) >= 8
+
+
+def test_what_clocks_leave_where_moves_begin_has_no_impulse_of_a_command() -> None:
+    """Asked for are 5 N for 10 ms: of three samples 1.5 times that impulse is told, 0.75 is not."""
+    n = 20_000
+    taps = np.zeros(18)
+    taps[0], taps[1] = VELOCITY_GAIN * POSITION_GAIN, -VELOCITY_GAIN
+    law = ControlLaw(Gains(POSITION_GAIN, VELOCITY_GAIN), np.array([1.0, 0.0, 0.0, 0.0]), 0.1, taps)
+    r = 0.01 * np.sin(2.0 * np.pi * 0.5 * STEP * np.arange(n))
+    q = r - 1e-6 * np.gradient(r, STEP)
+    plain = -law.left(r, q, np.zeros(n), STEP)
+    for share, told in ((0.75, 0), (1.5, 19)):
+        height = share * 5.0 * 0.01 / (3.0 * STEP)
+        force = plain + height * (np.arange(n) % 1000 >= 997) * (np.arange(n) < 19_500)
+        found = unlogged_command(law, r, q, force, STEP, 5.0 / float(np.std(force)))[1]
+        assert len(found) == told
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "what", "given"),
+    [
+        (9001041, "healthy", False),  # most of the time at one speed
+        (13001008, "healthy", False),  # noise of the encoder, clocks a part of a sample apart
+        (13001015, "healthy", False),
+        (9020116, "stribeck", False),
+        (9020902, "saturation", False),  # an integral part that stands still
+        (9020903, "saturation", False),
+        (9020800, "command", True),  # the law of all values is that of the axis
+        (13020806, "command", True),  # edges alone are seen
+    ],
+)
+def test_commands_are_told_of_where_there_are_some(tmp_path: pathlib.Path, seed: int, what: str, given: bool) -> None:
+    """Axes of an independent generator on which they had been found in vain, or would have been overlooked."""
+    draw("drive", seed, what, tmp_path, 1.0)
+    campaign = load_campaign(tmp_path / "campaign.toml")
+    assert isinstance(campaign.baseline, RigidDrive)
+    assert bool(list(unlogged_suspects(campaign, campaign.baseline))) == given
 
 
 def test_a_control_law_that_is_obeyed_has_no_pulses(full: DriveRecordFamily) -> None:
