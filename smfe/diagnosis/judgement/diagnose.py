@@ -132,7 +132,8 @@ def diagnose(
 
         if declared:
             declared, again = _one_by_one(released_bench, at, declared, worth)
-            if again.null().converged:
+            # Far from the data, without a cause that is known, no fit need end.
+            if again.null().converged or (at.causes and again.extend(again.null(), at.causes).converged):
                 found, more = search(again, begin=at.causes)
                 if masked and (not found.causes or again.bad(found) or not _borne_out(again, found, declared)):
                     declared = []

@@ -92,7 +92,7 @@ class Bench:
                 start[mine] += width[mine] * rng.standard_normal(mine.size)
                 again = fit(self.model, self.target, (), start)
                 found = again if again.converged or again.chi2 < found.chi2 else found
-            self._keep(found if near is None else self._at_ease(found, most))
+            self._keep(found)
         return self.fits[()]
 
     def _first(self) -> Real:
@@ -112,28 +112,13 @@ class Bench:
         if causes in self.known:
             again = self._follow(causes, self.known[causes].u, self.known[causes].slope, most)
             if again.converged:
-                return self._keep(self._at_ease(again, most))
+                return self._keep(again)
         found = nearest(self.model, self.target, self._extended(at, causes, added, most), added)
         # What creeps along a curved valley, as of a joint's elements, has explained what it will: the rest of the way
         # widens its intervals.
         if not found.converged and 0.0 < found.promised < RULES.crept * (at.chi2 - found.chi2):
             found = replace(found, converged=True, reason="")
         return self._keep(found)
-
-    def _at_ease(self, found: Fit, most: float) -> Fit:
-        """Fit once more with what is beyond belief back where it is expected; return the better of both.
-
-        What a declared value had moved while it was held leads no more back where that is let go: a contact's loss at
-        its limit and hits 3 cm beside their point, of a gain 30 % off.
-        """
-        mine = self.model.nuisance
-        off = np.abs(found.u * self.model.weight)[mine]
-        if found.provisional or np.max(off, initial=0.0) < RULES.beyond:
-            return found
-        u = found.u.copy()
-        u[mine[off > RULES.trusted]] = 0.0
-        again = fit(self.model, self.target, found.causes, u, most=most)
-        return again if again.converged and again.chi2 < found.chi2 else found
 
     def known_misfit(self, at: Fit, k: int) -> float:
         """Return what a fit with a cause more left of nearly the same data; infinite where there was none."""

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from process.types import Real
 from smfe.diagnosis.inference.fit import Fit
@@ -66,8 +67,9 @@ class Worth:
     def left(self, model: Model, residual: Mapping[int, Real], rng: np.random.Generator) -> float:
         """Return the size of a misfit beyond noise [1].
 
-        Where each condition counts, those are left out in which noise alone is many times what is material: how often
-        it is more than that depends on how it is distributed far out, which nobody knows.
+        Where each condition counts, those are left out in which noise alone is some times what is material and all
+        values together leave no more than noise: how often it is more than that depends on how it is distributed far
+        out, which nobody knows.
         """
         found: list[float] = []
         every = len(residual)
@@ -75,7 +77,9 @@ class Worth:
         drowned = [
             r
             for r, noise in noises.items()
-            if model.family.each_counts and float(np.mean(noise)) > (RULES.drowned * self.material) ** 2 > 0.0
+            if model.family.each_counts
+            and float(np.mean(noise)) > (RULES.drowned * self.material) ** 2 > 0.0
+            and float(stats.chi2.sf(float(residual[r] @ residual[r]), residual[r].size)) >= RULES.band
         ]
         for r, x in residual.items():
             condition, noise = model.conditions[r], noises[r]

@@ -115,14 +115,16 @@ def _descended(model: Model, target: Target, causes: tuple[int, ...]) -> tuple[R
     for k in causes:
         mine = model.of_cause[k]
         begun[mine] = (np.array(model.causes[k].starts[0]) - model.start[mine]) / model.scale[mine]
-    small, whole = begun.copy(), begun.copy()
-    for name, momentum in _as_a_whole(model.family).items():
+    small, whole, moving = begun.copy(), begun.copy(), _as_a_whole(model.family)
+    for name, momentum in moving.items():
         j = model.names.index(name)
         small[j] = (RULES.small - 1.0) * model.start[j] / model.scale[j]
         whole[j] = (momentum - model.start[j]) / model.scale[j]
-    ways = [(begun, ()), (begun, RULES.hot), (whole, RULES.hot), (small, ())]
+    ways = [(begun, ()), (begun, RULES.hot)]
+    if moving:
+        ways += [(whole, RULES.hot), (small, ())]
     undeclared = not causes and any(c.id == "guideway_friction" for c in model.causes)
-    if not undeclared:
+    if moving and not undeclared:
         # Each axis has valleys of its own: what leads one of them astray may be right for another.
         axis = np.array([name.split("_")[1] if name.startswith("momentum_") else "" for name in model.names])
         axes = np.unique(axis[axis != ""])

@@ -415,23 +415,25 @@ def test_the_size_of_a_misfit_is_all_of_it_but_the_noise_that_was_measured():
     assert limit == pytest.approx(1.0 / of, rel=0.2)
 
 
-def test_a_condition_whose_noise_is_many_times_what_is_material_does_not_say_what_is_left():
-    """Its noise is hardly normal far out: one of a hundred times it is more than that, and nothing is wrong."""
+def test_a_condition_that_noise_drowns_says_what_is_left_only_where_all_of_it_is_more_than_noise():
+    """Two of its values decide its size, and noise is hardly normal far out: four deviations of both are no misfit."""
 
     class Drowned(Scaled):
         each_counts = True
 
         def squared_size(self, condition, misfit):
             noisy = int(condition.settings["speed"]) == 5
-            return (0.3 if noisy else 0.01) ** 2 * float(np.mean(misfit**2))
+            return (0.3 if noisy else 0.01) ** 2 * float(np.mean(misfit[:2] ** 2))
 
     one = Drowned(measured({}).conditions)
     model, rng = Model(one, one.conditions), np.random.default_rng(0)
-    quiet = {r: rng.standard_normal(N) for r in range(5)}
-    assert WORTH.left(model, quiet | {5: 3.0 * rng.standard_normal(N)}, rng) == 0.0
-    assert WORTH.left(model, quiet | {4: 10.0 * rng.standard_normal(N)}, rng) == pytest.approx(0.1, rel=0.2)
-    # Where all are so noisy the largest is all that there is.
-    assert WORTH.left(Model(one, one.conditions[5:]), {0: 3.0 * rng.standard_normal(N)}, rng) > 0.5
+    quiet = {r: rng.standard_normal(N) for r in range(6)}
+    two = np.where(np.arange(N) < 2, 4.0, 0.7 * quiet[5])
+    assert WORTH.left(model, quiet | {5: two}, rng) == 0.0
+    assert WORTH.left(model, quiet | {4: two}, rng) == pytest.approx(0.01 * np.sqrt(15.0), rel=0.1)
+    assert WORTH.left(model, quiet | {5: np.full(N, 4.0)}, rng) == pytest.approx(0.3 * np.sqrt(15.0), rel=0.1)
+    # Where all are so noisy that is all that there is.
+    assert WORTH.left(Model(one, one.conditions[5:]), {0: two}, rng) == pytest.approx(0.3 * np.sqrt(15.0), rel=0.1)
 
 
 def test_a_declared_value_that_has_to_be_impossible_is_not_named():
@@ -525,18 +527,22 @@ class Channels(Scaled):
         return 100.0 * np.concatenate(each) + values.get("ripple", 0.0)
 
 
+@pytest.mark.parametrize("id_", ["sensor_gain", "servo_gains"])
 @pytest.mark.parametrize("wrong", ["gain_y", "gain_common"])
-def test_one_gain_that_does_what_all_of_them_do_is_the_one_that_is_wrong(wrong):
+def test_one_gain_that_does_what_all_of_them_do_is_the_one_that_is_wrong(wrong, id_):
     """Gains of all channels, and what they have in common, trade with each other: free together they say +-50 % each.
 
-    One channel that reads 30 % too much is told from coefficients known within 5 %, and so is the whole sensor.
+    One channel that reads 30 % too much is told from coefficients known within 5 %, and so is the whole sensor; of the
+    gains of a control it is the same.
     """
-    found = diagnose(measured({wrong: 0.3}, kind=Channels), worth=WORTH)
-    (gain,) = (c for c in found.causes if c.id == "sensor_gain")
+    family = measured({wrong: 0.3}, kind=Channels)
+    family = replace(family, nuisances=tuple(replace(p, given=id_) if p.name in GAINS else p for p in family.nuisances))
+    found = diagnose(family, worth=WORTH)
+    (gain,) = (c for c in found.causes if c.id == id_)
     assert found.verdict == "named"
     assert [p.name for p in gain.parameters] == [wrong]
     assert gain.parameters[0].low <= 0.3 <= gain.parameters[0].high < gain.parameters[0].low + 0.25
-    assert {g.name for g in found.given if g.beyond and g.cause == "sensor_gain"} == {wrong}
+    assert {g.name for g in found.given if g.beyond and g.cause == id_} == {wrong}
 
 
 def test_a_parameter_that_only_shapes_a_cause_may_end_on_its_bound():

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from smfe.diagnosis.inference.fit import Fit, Target
+from smfe.diagnosis.inference.fit import Fit, Target, residuals
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 from smfe.diagnosis.judgement import hypotheses
 from smfe.diagnosis.judgement import search as module
 from smfe.diagnosis.judgement.declared import Released
-from smfe.diagnosis.judgement.diagnose import as_declared, diagnose
+from smfe.diagnosis.judgement.diagnose import as_declared, deviations, diagnose
 from smfe.diagnosis.judgement.hypotheses import Bench
 from smfe.diagnosis.judgement.search import Step, search
 from smfe.progress import silent
@@ -162,6 +162,18 @@ def test_what_creeps_and_promises_next_to_nothing_of_what_it_gained_has_ended(mo
     monkeypatch.setattr(again, "_extended", lambda *_: left)
     monkeypatch.setattr(hypotheses, "nearest", lambda model, target, found, added: found)
     assert again.extend(again.null(), (0,)).converged == used
+
+
+def test_an_interval_is_wider_by_the_step_that_a_fit_has_not_taken():
+    one = measured(3.0)
+    found = one.extend(one.null(), (0,))
+    place = int(np.flatnonzero(found.free == one.model.of_cause[0][0])[0])
+    before = step = deviations(one, found, None)[place]
+    u = found.u.copy()
+    u[found.free[place]] += step
+    left = residuals(one.model, one.target, u)
+    short = replace(found, u=u, residual=left, slope=one.model.slopes(list(left), u, found.free))
+    assert deviations(one, short, None)[place] == pytest.approx(np.hypot(before, step), rel=0.15)
 
 
 @pytest.mark.parametrize("chi2", [{0: 100.0, 1: 2000.0}, {0: 2000.0, 1: 100.0}, {1: 100.0}])

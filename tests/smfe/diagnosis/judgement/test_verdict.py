@@ -45,6 +45,20 @@ def test_what_explains_all_and_cannot_be_tested_asks_for_data_and_a_pair_does_no
     assert verdict._of_baseline(bench, at, steps, []).verdict == said
 
 
+@pytest.mark.parametrize(("size", "said"), [(0.01, "consistent"), (0.2, "insufficient_data")])
+def test_what_is_not_proven_and_would_not_matter_leaves_a_baseline_consistent(monkeypatch, size, said):
+    """A joint that hardens by a thousandth on a healthy portal, 1.7 dB better on conditions left out, of 3 asked."""
+    best = SimpleNamespace(causes=(1,), converged=True, chi2=90.0)
+    step = Step((1,), "", 60.0, 20.0, Gain(1.7, 0.8, 1.0, 0.3, 0.1), 90.0, False, "too little")
+    bench = SimpleNamespace(fits={(1,): best}, words=str, rng=lambda *_: None, model=None)
+    refused = verdict.Judgement("insufficient_data", "", {}, Misfit(0.5, 1.0, 1.0, {0: 1.0}))
+    monkeypatch.setattr(verdict, "_of_baseline", lambda *_: refused)
+    monkeypatch.setattr(verdict, "_beyond_baseline", lambda *_: size)
+    at, worth = SimpleNamespace(causes=()), SimpleNamespace(material=0.05)
+    assert verdict._without_cause(bench, at, [step], [], worth).verdict == said
+    assert verdict._without_cause(bench, at, [], [], worth).verdict == "insufficient_data"
+
+
 def test_an_experiment_decides_between_what_the_data_leave_open(monkeypatch):
     """Not between two laws of one cause, nor what is far behind or on the limit of what is physical."""
     names = ("bearings", "bearings", "slip", "mode", "turned")
