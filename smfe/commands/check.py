@@ -87,7 +87,8 @@ def refusals(
     unsure = judge_all(quick, compliances, part(progress, 0.4, 0.8), refused).warnings
     if campaign.baseline is not None:
         with attempt(refused, "diagnosis"):
-            with_known(case_of(campaign, found, part(progress, 0.8, 1.0)).family, campaign)
+            case = case_of(campaign, found, part(progress, 0.8, 1.0), as_measured=True)
+            with_known(case.family, campaign)
     if campaign.plan is not None:
         with attempt(refused, "plan"):
             task = load_task(campaign.path)

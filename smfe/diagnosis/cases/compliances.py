@@ -65,10 +65,14 @@ def axis_baseline(baseline: AxisModel, tolerances: Tolerances | None = None) -> 
     return AxisBaseline(drive, dict(baseline.servos), baseline.axis, known, spread, t, baseline.period)
 
 
-def case_of(campaign: Campaign, found: Mapping[str, Identification], progress: Progress = silent) -> Case:
+def case_of(
+    campaign: Campaign, found: Mapping[str, Identification], progress: Progress = silent, *, as_measured: bool = False
+) -> Case:
     """Return what is tested of a campaign, whatever its baseline predicts.
 
-    `found` holds the identification of each measurement, by name, where the baseline predicts compliances.
+    `found` holds the identification of each measurement, by name, where the baseline predicts compliances. With
+    `as_measured` hits on an axis are not put right for its friction (`as_hit`), which fits the machine: enough to know
+    what would be refused.
 
     Raises InputError without a baseline, or when nothing can be compared with it.
     """
@@ -92,6 +96,9 @@ def case_of(campaign: Campaign, found: Mapping[str, Identification], progress: P
     else:
         tested = axis_baseline(baseline, campaign.tolerances)
         family, suspects = _axis_family(campaign, tested, found)
+        if not as_measured:
+            family = as_hit(family, RULES.discrepancy)
+        family = replace(family, proposals=proposed_experiments(family))
         if baseline.evidence:
             return evidence_case(campaign, family, baseline.evidence, suspects, progress)
     names = [c.name for c in family.conditions]
@@ -129,8 +136,7 @@ def _axis_family(
             f"no hammer or actuator measurement has {axis} under a force along {axis} with its "
             f"uncertainty (three hits or more{_too_few(found, (axis,))}); the baseline has nothing to be compared with"
         )
-    family = as_hit(MachineFrfs(baseline, tuple(conditions)), RULES.discrepancy)
-    return replace(family, proposals=proposed_experiments(family)), tuple(few)
+    return MachineFrfs(baseline, tuple(conditions)), tuple(few)
 
 
 def _modal_family(
