@@ -5,22 +5,27 @@ from __future__ import annotations
 import errno
 import io
 import json
+import os
 import re
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 import xarray as xr
+from xarray.backends import H5NetCDFStore
 
 from process.errors import InputError
 from smfe.kept import aside, say_damaged, seal, unsealed
 from smfe.records.formats.hdf5 import walk
 from smfe.records.formats.reader import apart
 from smfe.staged import FULL
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer, WriteableBuffer
 
 
 def check_target(path: Path) -> None:
@@ -47,11 +52,72 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
 
 
 def write_groups(path: Path, groups: Mapping[str, xr.Dataset], attrs: Mapping[str, str] | None = None) -> Path:
-    """Write datasets as the groups of one NetCDF-4 file (complex numbers natively), with attributes of the file."""
-    root = {"/": xr.Dataset(attrs=attrs)} if attrs else {}
-    tree = xr.DataTree.from_dict({**root, **{f"/{name}": dataset for name, dataset in groups.items()}})
-    # In memory first: on a full disk the HDF5 library ends the process when it closes its file.
-    return write_atomically(path, lambda p: p.write_bytes(tree.to_netcdf(engine="h5netcdf")))
+    """Write datasets as the groups of one NetCDF-4 file (complex numbers natively), with attributes of the file.
+
+    Each is asked for when it is written: groups that are read from elsewhere need not lie in memory together.
+    """
+
+    def write(temporary: Path) -> None:
+        with temporary.open("w+b", buffering=0) as disk:
+            file = _UnfailingFile(disk)
+            store = H5NetCDFStore.open(file, mode="w")
+            try:
+                xr.Dataset(attrs=attrs).dump_to_store(store)
+                for name in groups:
+                    groups[name].dump_to_store(store.get_child_store(f"/{name}"))
+            finally:
+                store.close()
+        if file.error is not None:
+            raise file.error
+
+    return write_atomically(path, write)
+
+
+class _UnfailingFile(io.RawIOBase):
+    """A file of which the HDF5 library never hears that the disk is full: it would end the process when it closes one.
+
+    What the disk no longer takes goes to memory, and `error` says why.
+    """
+
+    def __init__(self, disk: io.FileIO) -> None:
+        self._file: io.FileIO | io.BytesIO = disk
+        self.error: OSError | None = None
+
+    def write(self, content: ReadableBuffer) -> int:
+        whole = memoryview(content).cast("B")
+        place = self._file.tell()
+        try:
+            done = 0
+            while done < len(whole):
+                done += self._file.write(whole[done:])
+        except OSError as error:
+            self.error = error
+            self._file.seek(0)
+            self._file = io.BytesIO(self._file.read())
+            self._file.seek(place)
+            self._file.write(whole)
+        return len(whole)
+
+    def readinto(self, buffer: WriteableBuffer) -> int:
+        return self._file.readinto(buffer)
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+    def truncate(self, size: int | None = None) -> int:
+        return self._file.truncate(size)
+
+    def readable(self) -> bool:
+        return True
+
+    def writable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
 
 
 def read_groups(path: Path) -> dict[str, xr.Dataset]:

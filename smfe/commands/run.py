@@ -192,6 +192,7 @@ def _run(
         checked = audited(loaded, of["check"], folder / KEPT)
         failures += checked.excluded
         notes.check = suspect_rows(checked.suspects)
+        checked.identified.clear()  # kept, and read back below: not twice in memory
     with notes.timed("identify"):
         found, levels = identify_all(loaded, folder / KEPT, of["identify"], failures)
         loops, open_loops = loops_of(loaded, failures), open_loops_of(loaded, failures)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -76,7 +76,8 @@ def judge_all(
     kept : Path, optional
         Where verdicts are kept, and found again while neither record nor settings have changed.
     """
-    rows, spectra = [], {}
+    rows: list[dict[str, Any]] = []
+    spectra: dict[str, Callable[[], xr.Dataset]] = {}
     store = verdict_store(kept)
     unpredicted: Failures | None = None if failures is None else []
     for i, test in enumerate(campaign.cutting_tests):
@@ -99,12 +100,38 @@ def judge_all(
             rows.append(_row(campaign, test, None, failures[-1].reason) | predicted)
             continue
         rows.append(_row(campaign, test, verdict, verdict.reason) | predicted)
-        assert campaign.tool is not None
-        spectra[f"test_{i + 1}"] = _spectrum_of(test, verdict, campaign.tool.teeth, rows[-1])
+        name = f"test_{i + 1}"
+        if store.folder is None:
+            assert campaign.tool is not None
+            spectra[name] = partial(xr.Dataset.copy, _spectrum_of(test, verdict, campaign.tool.teeth, rows[-1]))
+        else:  # A thousand spectra need not lie in memory.
+            spectra[name] = partial(_kept_spectrum, campaign, test, store, rows[-1])
     store.forget_others()
     if failures is not None:
         failures += _once(unpredicted or [])
-    return Verdicts(rows, spectra, condition_warnings(campaign))
+    return Verdicts(rows, _WhenAsked(spectra), condition_warnings(campaign))
+
+
+class _WhenAsked(Mapping[str, xr.Dataset]):
+    """Datasets, each made when it is asked for."""
+
+    def __init__(self, make: Mapping[str, Callable[[], xr.Dataset]]) -> None:
+        self._make = make
+
+    def __getitem__(self, name: str) -> xr.Dataset:
+        return self._make[name]()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._make)
+
+    def __len__(self) -> int:
+        return len(self._make)
+
+
+def _kept_spectrum(campaign: Campaign, test: CuttingTest, store: Store, row: Mapping[str, Any]) -> xr.Dataset:
+    """Return the spectrum of a test, read back from where its verdict is kept."""
+    assert campaign.tool is not None
+    return _spectrum_of(test, judged(campaign, test, store), campaign.tool.teeth, row)
 
 
 def verdict_store(kept: Path | None) -> Store:

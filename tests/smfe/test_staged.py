@@ -12,13 +12,15 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
+import xarray as xr
 
 from process import _kernel_cache
 from process.errors import InputError
 from smfe import staged
 from smfe.kept import KEPT, WRITTEN, aside, written
-from smfe.results import attempt
+from smfe.results import attempt, read_groups, write_groups
 from smfe.staged import finish, held, together
 
 
@@ -144,6 +146,23 @@ def test_a_full_disk_ends_the_run_with_the_file_that_did_not_fit(tmp_path: Path)
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert results(tmp_path) == OLD
     assert errno.ENOSPC in staged.FULL
+
+
+def test_a_full_disk_ends_a_file_of_arrays_with_an_error_and_not_the_process(tmp_path: Path) -> None:
+    """The HDF5 library crashes where it cannot close a file: it must not hear of the disk."""
+    groups = {f"g{i}": xr.Dataset({"a": ("n", np.arange(1000.0) + i)}) for i in range(5)}
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            write_groups(tmp_path / "a.nc", groups)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert list(tmp_path.iterdir()) == []
+    again = read_groups(write_groups(tmp_path / "a.nc", groups))
+    assert list(again) == list(groups)
+    for name, dataset in groups.items():
+        xr.testing.assert_identical(again[name], dataset)
 
 
 def test_kernels_are_kept_in_a_folder_of_the_users_own_where_nothing_else_can_be_written(
