@@ -362,7 +362,9 @@ def _borne_out(bench: Bench, at: Fit, released: Sequence[Released]) -> bool:
 
     A fit whose model is a little off moves what it may: that fits, and predicts nothing. Values within their own
     intervals of what was declared, and those that only blocks of values test, have to be proven as a cause has; others
-    to predict no worse than what was declared.
+    to predict no worse than what was declared. Where only noise is left, or the predictions are the same, no decibels
+    can show a gain that is there. Then the likelihood ratio decides, which has to be large where much can look alike
+    (`Abilities.supple`), unless what was left out speaks against it.
     """
     before, as_given = as_declared(bench, at, released)
     groups = [list(r.values[0]) for r in released]
@@ -377,8 +379,14 @@ def _borne_out(bench: Bench, at: Fit, released: Sequence[Released]) -> bool:
         return True
     gain = compare(smaller, larger, bench.rng(12, len(at.causes)))
     gain = gain if chosen else replace(gain, held_out="blocks of values")
-    if not gain.proven and alike(as_given, at):
-        return bench.misfit(at).p_value >= RULES.band
+    same = not gain.proven and alike(as_given, at)
+    if same and not bench.model.family.supple:
+        return not bench.bad(at)
+    decided = as_given.converged and as_given.chi2 - at.chi2 > RULES.decisive and gain.db > -gain.sd
+    if same:
+        return decided and not (bench.bad(at) and bench.matters(at, 1.0))
+    if bench.model.family.supple and decided and not chosen and not bench.bad(at):
+        return True
     sd = dict(zip(at.free.tolist(), deviations(bench, at, None).tolist(), strict=True))
     beyond = any(abs(at.u[j]) > RULES.interval * sd[j] for r in released for j in r.values[0])
     return gain.db > 0.0 if beyond and chosen else gain.proven

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from smfe.diagnosis.inference.cross_validation import Gain
 from smfe.diagnosis.inference.fit import Target, fit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
@@ -76,6 +77,28 @@ def test_what_the_data_contradict_is_not_consistent_though_conditions_left_out_d
     assert (found.verdict, found.causes) == ("insufficient_data", ())
     assert "contradict what was declared (coefficients or gain)" in found.reason
     assert diagnose(measured({"coefficients": 0.05}), worth=WORTH).verdict == "consistent"
+
+
+class Faint(Scaled):
+    """Forces of the size of the noise, and parameters that can look like much else."""
+
+    supple = True
+
+    def predict(self, condition, values):
+        return 0.01 * super().predict(condition, values)
+
+
+@pytest.mark.parametrize(("coefficients", "db", "named"), [(1.2, -0.3, True), (1.2, -1.0, False), (0.65, -0.3, False)])
+def test_where_blocks_of_noise_show_nothing_a_likelihood_ratio_beyond_100_decides(monkeypatch, coefficients, db, named):
+    """The ratio is 190 times the square: 274 and 80, of which blocks of values say -0.3 or -1.0 dB within 0.4."""
+    monkeypatch.setattr(judgement, "usable", lambda *_: ())
+    monkeypatch.setattr(judgement, "within", lambda *_: object())
+    monkeypatch.setattr(judgement, "compare", lambda *_: Gain(db, 0.4, 0.0, 0.0, db - 1.2))
+    found = diagnose(measured({"coefficients": coefficients}, kind=Faint), worth=WORTH)
+    assert (found.verdict == "named") is named
+    # The same where both would predict the same.
+    monkeypatch.setattr(judgement, "alike", lambda *_: True)
+    assert diagnose(measured({"coefficients": coefficients}, kind=Faint), worth=WORTH).verdict == found.verdict
 
 
 def test_a_declared_value_is_not_right_because_something_without_a_name_can_imitate_it():
