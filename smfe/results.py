@@ -91,12 +91,24 @@ class _UnfailingFile(io.RawIOBase):
             while done < len(whole):
                 done += self._file.write(whole[done:])
         except OSError as error:
-            self.error = error
-            self._file.seek(0)
-            self._file = io.BytesIO(self._file.read())
+            self._go_on_in_memory(error)
             self._file.seek(place)
             self._file.write(whole)
         return len(whole)
+
+    def truncate(self, size: int | None = None) -> int:
+        try:
+            return self._file.truncate(size)
+        except OSError as error:
+            self._go_on_in_memory(error)
+            return self._file.truncate(size)
+
+    def _go_on_in_memory(self, error: OSError) -> None:
+        self.error = error
+        place = self._file.tell()
+        self._file.seek(0)
+        self._file = io.BytesIO(self._file.read())
+        self._file.seek(place)
 
     def readinto(self, buffer: WriteableBuffer) -> int:
         return self._file.readinto(buffer)
@@ -106,9 +118,6 @@ class _UnfailingFile(io.RawIOBase):
 
     def tell(self) -> int:
         return self._file.tell()
-
-    def truncate(self, size: int | None = None) -> int:
-        return self._file.truncate(size)
 
     def readable(self) -> bool:
         return True

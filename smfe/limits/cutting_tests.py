@@ -105,7 +105,7 @@ def judge_all(
             assert campaign.tool is not None
             spectra[name] = partial(xr.Dataset.copy, _spectrum_of(test, verdict, campaign.tool.teeth, rows[-1]))
         else:  # A thousand spectra need not lie in memory.
-            spectra[name] = partial(_kept_spectrum, campaign, test, store, rows[-1])
+            spectra[name] = partial(_kept_spectrum, campaign, test, store, _key(campaign, test, store), rows[-1])
     store.forget_others()
     if failures is not None:
         failures += _once(unpredicted or [])
@@ -128,10 +128,10 @@ class _WhenAsked(Mapping[str, xr.Dataset]):
         return len(self._make)
 
 
-def _kept_spectrum(campaign: Campaign, test: CuttingTest, store: Store, row: Mapping[str, Any]) -> xr.Dataset:
-    """Return the spectrum of a test, read back from where its verdict is kept."""
+def _kept_spectrum(campaign: Campaign, test: CuttingTest, store: Store, key: str, row: Mapping[str, Any]) -> xr.Dataset:
+    """Return the spectrum of a test, read back from where its verdict is kept under a key: the record may be gone."""
     assert campaign.tool is not None
-    return _spectrum_of(test, judged(campaign, test, store), campaign.tool.teeth, row)
+    return _spectrum_of(test, store.get(key, partial(judge, campaign, test)), campaign.tool.teeth, row)
 
 
 def verdict_store(kept: Path | None) -> Store:
@@ -141,8 +141,11 @@ def verdict_store(kept: Path | None) -> Store:
 
 def judged(campaign: Campaign, test: CuttingTest, store: Store) -> ChatterVerdict:
     """Return the verdict of a cutting test, as it was kept while neither record nor settings have changed."""
-    key = "" if store.folder is None else key_of(test, campaign.tool, file_hash(test.file))
-    return store.get(key, partial(judge, campaign, test))
+    return store.get(_key(campaign, test, store), partial(judge, campaign, test))
+
+
+def _key(campaign: Campaign, test: CuttingTest, store: Store) -> str:
+    return "" if store.folder is None else key_of(test, campaign.tool, file_hash(test.file))
 
 
 def _once(failures: Failures) -> Failures:
