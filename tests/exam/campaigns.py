@@ -120,16 +120,16 @@ def asked(case: Case, write: Callable[[Path], Answer], patience: float, state: s
         gone = {*hidden.alike, *(i for _, causes in ids for i in causes)} if case.part == "unknown" else set()
         start = _cpu()
         verdict, error = "", ""
-        with warnings.catch_warnings(), patient(patience), _without(gone):
-            warnings.simplefilter("ignore")
-            try:
+        try:
+            with warnings.catch_warnings(), patient(patience), _without(gone):
+                warnings.simplefilter("ignore")
                 command.diagnose(folder / "campaign.toml", folder / "finding.json", workers=1)
-            except OutOfPatienceError:
-                verdict, error = "no answer", f"none within {patience:g} s"
-            except InputError as refused:
-                verdict, error = "refused", str(refused)
-            except Exception as broken:
-                verdict, error = "crashed", f"{type(broken).__name__}: {broken}"
+        except OutOfPatienceError:
+            verdict, error = "no answer", f"none within {patience:g} s"
+        except InputError as refused:
+            verdict, error = "refused", str(refused)
+        except Exception as broken:
+            verdict, error = "crashed", f"{type(broken).__name__}: {broken}"
         seconds = _cpu() - start
         found = {} if verdict else json.loads((folder / "finding.json").read_text(encoding="utf-8"))
     return replace(_said(case, hidden, ids, verdict, error, seconds, found), code=state)
@@ -202,13 +202,21 @@ def _cpu() -> float:
 def patient(seconds: float) -> Iterator[None]:
     """Give up after so many seconds of CPU time, and again and again: what is raised in a callback may get lost."""
 
+    over = False
+
     def stop(number: int, frame: object) -> None:
+        nonlocal over
+        over = True
         raise OutOfPatienceError
 
     before = signal.signal(signal.SIGPROF, stop)
     signal.setitimer(signal.ITIMER_PROF, seconds, AGAIN)
     try:
         yield
+    except Exception as lost:
+        if over:  # compiled code makes a SystemError of what is raised while it returns
+            raise OutOfPatienceError from lost
+        raise
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.signal(signal.SIGPROF, before)

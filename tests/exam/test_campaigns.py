@@ -171,6 +171,22 @@ def test_nobody_who_catches_errors_goes_on_for_ever(caught: type[BaseException],
     assert time.process_time() - begin < 1.0
 
 
+@pytest.mark.parametrize(("seconds", "said"), [(0.05, OutOfPatienceError), (60.0, SystemError)])
+def test_what_compiled_code_makes_of_the_end_of_patience_is_no_crash(seconds: float, said: type[BaseException]) -> None:
+    begin = time.process_time()
+
+    def compiled() -> None:
+        try:
+            while time.process_time() < begin + 0.5:
+                sum(range(1000))
+        except OutOfPatienceError as lost:
+            raise SystemError("returned a result with an exception set") from lost
+        raise SystemError("of its own")
+
+    with pytest.raises(said), patient(seconds):
+        compiled()
+
+
 def test_what_a_family_without_a_cause_changes_is_weighed_by_its_depths() -> None:
     """Its kind says whether there are any; what is left out of it has its null."""
     whole = SimpleNamespace(
