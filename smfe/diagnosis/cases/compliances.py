@@ -41,6 +41,7 @@ from smfe.diagnosis.frf.noise import (
 )
 from smfe.diagnosis.frf.rules import RULES
 from smfe.diagnosis.frf.workshop import runs, with_single_hits
+from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition
 from smfe.identification.errors.result import Identification
 from smfe.progress import Progress, silent
@@ -71,8 +72,8 @@ def case_of(
     """Return what is tested of a campaign, whatever its baseline predicts.
 
     `found` holds the identification of each measurement, by name, where the baseline predicts compliances. With
-    `as_measured` hits on an axis are not put right for its friction (`as_hit`), which fits the machine: enough to know
-    what would be refused.
+    `as_measured` hits on an axis are not put right for its friction (`as_hit`), which fits the machine, but predicted
+    once: enough to know what would be refused.
 
     Raises InputError without a baseline, or when nothing can be compared with it.
     """
@@ -96,7 +97,11 @@ def case_of(
     else:
         tested = axis_baseline(baseline, campaign.tolerances)
         family, suspects = _axis_family(campaign, tested, found)
-        if not as_measured:
+        if as_measured:
+            model = Model(family, family.conditions)
+            for c in family.conditions:
+                family.predict(c, model.values(model.null()))  # an unstable servo predicts nothing
+        else:
             family = as_hit(family, RULES.discrepancy)
         family = replace(family, proposals=proposed_experiments(family))
         if baseline.evidence:

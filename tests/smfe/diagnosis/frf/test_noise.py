@@ -1,6 +1,7 @@
 """Hits of a campaign one by one: what they are, that they are kept, and what a diagnosis of an axis makes of them."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,9 @@ from truth.chain import Chain
 from process.errors import InputError
 from process.labels import make_record
 from smfe.campaign import load_campaign
+from smfe.commands.check import check
 from smfe.commands.diagnose import diagnose
+from smfe.diagnosis.cases import compliances
 from smfe.diagnosis.cases.compliances import case_of
 from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.noise import compared, excitation_of
@@ -128,6 +131,22 @@ def test_hits_are_kept_and_a_measurement_of_two_is_left_out_and_named(tmp_path: 
     hits["reason"] = ["", "", "double hit: 25 N after 28 ms"]
     with pytest.raises(InputError, match=r"2 of 3 hits are used \(hit \d+ of .*: double hit: 25 N after 28 ms\)"):
         case_of(campaign, found)
+
+
+@pytest.mark.parametrize(("position_gain", "said"), [(None, False), ("3000 1/s", True)])
+def test_a_check_says_what_a_diagnosis_would_refuse_and_fits_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, position_gain: str | None, said: bool
+) -> None:
+    path = written(tmp_path, AXIS, (Plan(repeats=3), Plan(feed=500.0, repeats=3)), 5)
+    if position_gain is not None:
+        path.write_text(re.sub(r"Kv = '[^']*'", f"Kv = '{position_gain}'", path.read_text(encoding="utf-8")))
+        with pytest.raises(InputError, match="unstable with its servos"):
+            diagnose(path, tmp_path / "finding.json")
+    fits = []
+    monkeypatch.setattr(compliances, "as_hit", lambda *_: fits.append(1))
+    unusable = [row for row in check(path).to_dict("records") if row["cause"] == "unusable"]
+    assert [("unstable with its servos" in row["evidence"]) for row in unusable] == [True] * said
+    assert not fits
 
 
 MIXED = (
