@@ -63,8 +63,10 @@ def write_groups(path: Path, groups: Mapping[str, xr.Dataset], attrs: Mapping[st
             store = H5NetCDFStore.open(file, mode="w")
             try:
                 xr.Dataset(attrs=attrs).dump_to_store(store)
-                for name in groups:
-                    groups[name].dump_to_store(store.get_child_store(f"/{name}"))
+                for name, dataset in groups.items():
+                    # Data before coordinates: a dataset just computed and one read back give the same bytes.
+                    ordered = xr.Dataset(dataset.data_vars, dataset.coords, dataset.attrs)
+                    ordered.dump_to_store(store.get_child_store(f"/{name}"))
             finally:
                 store.close()
         if file.error is not None:
