@@ -40,7 +40,11 @@ def entry(compliance: xr.Dataset, response: str, excitation: str) -> tuple[Compl
     return phi, np.nan_to_num(std)
 
 
-def _clear(compliance: xr.Dataset, axis: str) -> tuple[Real, Complex, Real]:
+Clear = tuple[Real, Complex, Real]
+"""Frequency [Hz], compliance and its standard deviation [m/N] of some lines, shape (f,) each."""
+
+
+def _clear(compliance: xr.Dataset, axis: str) -> Clear:
     """Frequency, compliance and standard deviation of the lines of a driving point that stand out of their noise."""
     phi, std = entry(compliance, axis, axis)
     f = compliance["frequency"].values
@@ -357,9 +361,11 @@ def factor_suspects(compliances: Mapping[str, xr.Dataset], accused: Collection[s
     """
     differ: list[tuple[str, str, str, complex]] = []
     agree = dict.fromkeys(compliances, 0)
+    # Of n measurements there are n^2/2 pairs: what each has alone is taken once.
+    clear = {name: {axis: _clear(c, axis) for axis in driving_points(c)} for name, c in compliances.items()}
     for one, two in combinations(compliances, 2):
-        for axis in sorted(set(driving_points(compliances[one])) & set(driving_points(compliances[two]))):
-            found = _constant_ratio(compliances[one], compliances[two], axis)
+        for axis in sorted(clear[one].keys() & clear[two].keys()):
+            found = _constant_ratio(clear[one][axis], clear[two][axis])
             if found is not None and abs(found - 1.0) < 0.1:
                 agree[one], agree[two] = agree[one] + 1, agree[two] + 1
             elif found is not None:
@@ -383,10 +389,9 @@ def factor_suspects(compliances: Mapping[str, xr.Dataset], accused: Collection[s
         )
 
 
-def _constant_ratio(one: xr.Dataset, two: xr.Dataset, axis: str) -> complex | None:
+def _constant_ratio(one: Clear, two: Clear) -> complex | None:
     """Ratio one/two (least squares) where it is constant over frequency, and 1 or clearly not 1."""
-    f, phi, std = _clear(one, axis)
-    f2, phi2, _ = _clear(two, axis)
+    (f, phi, std), (f2, phi2, _) = one, two
     if f.size < 10 or f2.size < 10:
         return None
     inside = (f >= f2[0]) & (f <= f2[-1])
