@@ -453,7 +453,7 @@ class Bench:
         a jump that it would have to take: how bad the best one is need not be known. One that has no slopes where it
         stopped promises nothing that could be counted.
         """
-        return 0.0 < RULES.hope * at.promised < at.chi2 - self.explained(at)
+        return 0.0 < RULES.optimism * at.promised < at.chi2 - self.explained(at)
 
     def first_order(self, at: Fit, causes: Sequence[int]) -> float:
         """Likelihood ratio of more causes as the linearisation has it: the best over their shapes."""

@@ -186,7 +186,14 @@ def cost_of(b: Bench, before: Bench, plan: list[Visit]) -> float:
     return worst
 
 
-TOLERANCES = {"sensors": math.sqrt(2.0) * 0.01, "gains": 0.02, "masses": 0.1, "stiffness": 0.1, "damping": 0.4}
+TOLERANCES = {
+    "sensors": math.sqrt(2.0) * 0.01,
+    "gains": 0.02,
+    "delay": 1e-4 / math.sqrt(3.0),
+    "masses": 0.1,
+    "stiffness": 0.1,
+    "damping": 0.4,
+}
 """Standard deviations of what a campaign says, as who reads it must take it: those of a workshop."""
 
 HIDDEN_BY_TOLERANCES = ("gain", "force_gain", "velocity_gain", "integral_time", "position_gain")
@@ -276,7 +283,7 @@ def told(b: Bench, plan: list[Visit], name: str, tools: Instruments, sign: float
             lambda x: of_truth(friction=replace(friction, viscous=tuple(v * (1.0 + x) for v in friction.viscous))),
             0.5,
         ),
-        by(lambda x: of_truth(control=replace(t.control, extra=t.control.extra + x * late)), 1e-4 / late),
+        by(lambda x: of_truth(control=replace(t.control, extra=t.control.extra + x * late)), TOLERANCES["delay"] / late),
         by(sampled, math.sqrt(1.0 / 3.0)),
         by(lambda x: replace(b, skew=b.skew + 1e-2 * x), 2e-3),
     ]
@@ -292,7 +299,7 @@ def told(b: Bench, plan: list[Visit], name: str, tools: Instruments, sign: float
     # Forces of a friction curve that is declared are known within 2 %: its slope is their difference.
     for key in ("coulomb", "static") if friction.kind != "none" else ():
         columns.append(by(partial(of_friction, key), 0.02))
-    own = by(lambda x: planted(b, name, x), 1.0)
+    own = by(lambda x: planted(b, name, x), 1.0, 1e-5 if name == "delay" else 1e-3)
     calibration = by(lambda x: replace(b, gain=b.gain * (1.0 + x)), TOLERANCES["sensors"])
     nuisances = np.stack([*columns, calibration], axis=1)
     covariance = np.eye(nuisances.shape[1]) + nuisances.T @ nuisances
