@@ -719,7 +719,9 @@ def _next_experiment(bench: Bench, at: Fit, steps: Sequence[Step], judged: Judge
         return ranked[0] if ranked else None
     if not judged.sets:
         return None
+    # The best and the next of what fits as well: pairs of six, each fitted to five proposals, took as long as all else.
     k, fits = next(iter(judged.sets.items()))
+    fits = fits[: RULES.contenders - 1]
     titles = [model.causes[j].title for j in (k, *(j for f in fits for j in set(f.causes) - set(at.causes)))]
     ranked = rank(model, bench.target, [at, *fits], rows, " and ".join(titles))
     return ranked[0] if ranked and ranked[0].probability > 0.5 else None

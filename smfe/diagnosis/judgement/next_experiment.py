@@ -16,7 +16,7 @@ from itertools import combinations, permutations
 import numpy as np
 from scipy import stats
 
-from smfe.diagnosis.inference.fit import Fit, Target, fit, refit
+from smfe.diagnosis.inference.fit import Fit, Target, approach, fit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import Signature, Tangent, widened
@@ -59,8 +59,10 @@ def discrimination(
 
     `model` is that of the rival. Of the parameters `declared` what was declared stays what it is, whatever is true.
 
-    A fit that has not converged gives what D is at the least: its misfit less what steps may still take off it. A
-    small D is that of a fit with its own slopes: only so is a rival that imitates the truth seen to do so.
+    A fit that has not converged gives what D is at the least: its misfit less what steps may still take off it. That is
+    enough where it is large, and what any fit leaves is enough where that is below the margin: nothing is decided then.
+    The slopes of the rival bring both. What lies between takes a fit with its own slopes, and so does a small D of a
+    rival with more parameters: only so is one that imitates the truth seen to do so.
     """
     every = [*target.observed, *rows]
     predicted = {r: y for r in every if (y := model.predict(r, truth.u)) is not None}
@@ -71,12 +73,14 @@ def discrimination(
     moves = np.isin(numbers, truth.free) & ~np.isin(numbers, declared)
     centre = np.where(moves, truth.u, target.centre)
     aim = Target(predicted, centre)
-    found = refit(model, aim, replace(rival, slope={**rival.slope, **slope}))
-    if found.provisional and found.chi2 < RULES.margin:
-        found = fit(model, aim, found.causes, found.u)
+    near = replace(rival, slope={**rival.slope, **slope})
+    found = approach(model, aim, near.causes, near.u, near.slope, RULES.margin)
+    undecided = found is None or found.chi2 - RULES.optimism * found.promised <= RULES.margin < found.chi2
+    if found is None or undecided or (found.chi2 <= RULES.margin and rival.free.size > truth.free.size):
+        found = fit(model, aim, near.causes, near.u if found is None else found.u, most=RULES.margin)
     least = found.chi2 - RULES.optimism * found.promised
-    if found.converged or not least > RULES.margin:
-        return found
+    if not least > RULES.margin:
+        return replace(found, converged=found.converged or found.chi2 <= RULES.margin)
     smaller = math.sqrt(least / found.chi2)
     return replace(found, chi2=least, residual={r: smaller * x for r, x in found.residual.items()}, converged=True)
 
@@ -103,11 +107,13 @@ def rank(
     found = []
     own = models or [model] * len(open_)
     for row in _promising(model, open_, rows):
-        pairs = [
-            (open_[a], discrimination(own[b], target, open_[a], open_[b], [row], declared))
-            for a, b in permutations(range(len(open_)), 2)
-        ]
-        fits = [f for a, f in pairs if f is None or not _imitates(model, f, a)]
+        fits: list[Fit | None] = []
+        for a, b in permutations(range(len(open_)), 2):
+            rival = discrimination(own[b], target, open_[a], open_[b], [row], declared)
+            if rival is None or not _imitates(model, rival, open_[a]):
+                fits.append(rival)
+                if rival is None or rival.chi2 <= RULES.margin:
+                    break  # a pair that it leaves open is enough: the others are not fitted
         if not fits or any(f is None or not f.converged for f in fits):
             continue
         worst = min((f for f in fits if f is not None), key=lambda f: f.chi2)
