@@ -76,7 +76,7 @@ def excited_by(record):
         std = np.hypot(found["std"][pick, None], FLOOR * np.abs(h))
         return Excited(f, (("x", "x"),), std, "actuator", plan.level, shared=smooth, **common), h
     hits = hits_of(record, found["frequency"])
-    std, shared = scatter_of(hits.compliance[:, :, 0], hits.impulse, found["frequency"])
+    std, shared = scatter_of(hits.compliance[:, :, 0], hits.impulse)
     shared = np.concatenate([shared[:, pick, None], smooth])
     std = np.hypot(std[pick, None], FLOOR * np.abs(h))
     impulse, width, _ = pulses(record["force"])

@@ -458,8 +458,7 @@ def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, disc
     each = np.stack([s.compliance for s in states])
     more = (weight * each).sum(axis=0) - machine.compliance(excited)
     mean, unexplained = (weight * hits.compliance).sum(axis=0), hits.compliance - each
-    f = excited.frequency
-    own = np.stack([scatter_of(x, hits.impulse, f)[1] for x in np.moveaxis(unexplained, 2, 0)], axis=2)
+    own = np.stack([scatter_of(x, hits.impulse)[1] for x in np.moveaxis(unexplained, 2, 0)], axis=2)
     smooth = smooth_errors(excited.frequency, mean, discrepancy)
     errors = errors_along_axis(excited, mean, tolerances)
     rows = [own, smooth, errors, RULES.unsure * more[None]]

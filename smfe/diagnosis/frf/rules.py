@@ -20,7 +20,6 @@ class FrfRules:
     """Standard deviations of a line from what its neighbours say of it below which it is taken for noise: of one line
     in 400 (with two neighbours that are as noisy) more is left."""
     smooth_lines: int = 15  # lines over which the variance of noise is averaged
-    trend: int = 4  # degree of the polynomial of frequency that the variance of noise follows, both in logarithms
     correlated: float = 1.88
     """Variance of second differences over that of independent ones: 1 + 2 (4/9 14/15 + 1/36 13/15)."""
     smooth_shapes: int = 4
