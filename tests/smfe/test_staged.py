@@ -165,6 +165,16 @@ def test_a_full_disk_ends_a_file_of_arrays_with_an_error_and_not_the_process(tmp
         xr.testing.assert_identical(again[name], dataset)
 
 
+def test_a_dataset_read_back_is_written_as_the_same_bytes(tmp_path: Path) -> None:
+    """Coordinates come last of a dataset that was computed, first of one that was read: an order says nothing."""
+    computed = xr.Dataset({"depth": ("speed", np.arange(3.0))}, {"speed": [1.0, 2.0, 3.0]}, {"unit": "m"})
+    computed = computed.assign_coords(quantile=0.05).assign(lobe=("speed", [1, 1, 2]))
+    first = write_groups(tmp_path / "a.nc", {"lobes": computed})
+    again = write_groups(tmp_path / "b.nc", read_groups(first))
+    assert again.read_bytes() == first.read_bytes()
+    assert read_groups(again)["lobes"].identical(computed)
+
+
 def test_kernels_are_kept_in_a_folder_of_the_users_own_where_nothing_else_can_be_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

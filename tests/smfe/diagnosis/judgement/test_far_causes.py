@@ -214,6 +214,10 @@ def test_a_baseline_that_cannot_be_fitted_to_the_end_for_a_jump_is_still_wrong()
     null = bench(family).null()
     assert not null.converged
     assert bench(family).hopeless(null)
+    # Three times what its steps promise is what it may still bring.
+    more_than_noise = null.chi2 - bench(family).explained(null)
+    assert bench(family).hopeless(replace(null, promised=0.33 * more_than_noise))
+    assert not bench(family).hopeless(replace(null, promised=0.34 * more_than_noise))
     found = diagnose(family, workers=1)
     assert (found.verdict, [c.id for c in found.causes]) == ("named", ["stiffer"])
     assert found.values["stiffer"] == pytest.approx(1.0, abs=0.05)
