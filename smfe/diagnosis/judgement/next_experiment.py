@@ -74,7 +74,8 @@ def discrimination(
     centre = np.where(moves, truth.u, target.centre)
     aim = Target(predicted, centre)
     near = replace(rival, slope={**rival.slope, **slope})
-    found = approach(model, aim, near.causes, near.u, near.slope, RULES.margin)
+    known = all(r in near.slope for r in every)  # a fit that stopped where nothing is predicted has no slopes
+    found = approach(model, aim, near.causes, near.u, near.slope, RULES.margin) if known else None
     undecided = found is None or found.chi2 - RULES.optimism * found.promised <= RULES.margin < found.chi2
     if found is None or undecided or (found.chi2 <= RULES.margin and rival.free.size > truth.free.size):
         found = fit(model, aim, near.causes, near.u if found is None else found.u, most=RULES.margin)

@@ -21,7 +21,7 @@ from smfe.diagnosis.inference.thresholds import Score, noncentrality, threshold
 from smfe.diagnosis.judgement.diagnose import deviations, diagnose, estimates
 from smfe.diagnosis.judgement.finding import Estimate, Finding, FoundCause
 from smfe.diagnosis.judgement.hypotheses import Bench
-from smfe.diagnosis.judgement.next_experiment import probability_to_settle
+from smfe.diagnosis.judgement.next_experiment import discrimination, probability_to_settle
 from smfe.diagnosis.judgement.search import search
 from smfe.diagnosis.judgement.verdict import Judgement, changing, most_changing
 from smfe.diagnosis.story.sentences import explain
@@ -635,6 +635,30 @@ def test_the_probability_to_settle_is_what_a_simulation_finds():
         z = rng.standard_normal((20_000, 40))
         lead = np.sum((z + apart) ** 2, axis=1) - np.sum(z**2, axis=1)
         assert np.mean(lead > stats.chi2.ppf(0.99, 1)) == pytest.approx(probability_to_settle(d), abs=0.01)
+
+
+@pytest.mark.parametrize("slopes", [True, False])
+@pytest.mark.parametrize("size", [0.2, 1.0, 30.0])
+def test_what_separates_two_hypotheses_is_what_least_squares_leave_of_one_in_the_other(size, slopes):
+    """Of predictions with the new condition, priors centred on the truth; also where the rival was never linearised."""
+    family = measured(NEARLY, {"slack.0": size}, 1)
+    new = Condition("more", {"feed": 3.0, "direction": -1.0, "order": 5.0})
+    model, row = Model(family, (*family.conditions, new)), len(family.conditions)
+    target = Target({r: c.observed for r, c in enumerate(family.conditions)}, model.null())
+    truth, rival = (fit(model, target, (k,), model.null()) for k in (0, 1))
+    found = discrimination(model, target, truth, rival if slopes else replace(rival, slope={}), [row])
+    by_rival = model.slopes(range(row + 1), truth.u, rival.free)
+    a = np.concatenate([*by_rival.values(), np.diag(model.weight[rival.free])])
+    start = np.where(np.isin(rival.free, truth.free), truth.u[rival.free], 0.0)
+    zero = np.zeros(truth.u.size)
+    seen = np.concatenate(
+        [*(model.predict(r, truth.u) - model.predict(r, zero) for r in by_rival), model.weight[rival.free] * start]
+    )
+    left = seen - a @ np.linalg.lstsq(a, seen)[0]
+    assert found.converged
+    assert found.chi2 == pytest.approx(float(left @ left), abs=RULES.tolerance)
+    new_alone = float(np.sum(left[row * N : (row + 1) * N] ** 2))
+    assert float(np.sum(found.residual[row] ** 2)) == pytest.approx(new_alone, rel=1e-3, abs=0.5 * RULES.tolerance)
 
 
 @pytest.mark.parametrize(("draws", "least"), [(2, 2), pytest.param(10, 9, marks=pytest.mark.slow)])
