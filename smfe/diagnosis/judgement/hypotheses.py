@@ -451,8 +451,8 @@ class Bench:
 
         Where a prediction jumps, as a limit depth does that an island of instability comes below, a fit may stop before
         a jump that it would have to take: how bad the best one is need not be known. One that has no slopes where it
-        stopped promises nothing that could be counted. It has been begun five times and followed by damped steps, so
-        that it counts as what a fit that stopped may still bring, and not as what first slopes promise.
+        stopped promises nothing that could be counted. What it promises where it stopped, after damped steps, counts
+        three times (`RULES.optimism`), as of a rival, and not ten times, as what first slopes promise.
         """
         return 0.0 < RULES.optimism * at.promised < at.chi2 - self.explained(at)
 
