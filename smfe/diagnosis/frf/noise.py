@@ -263,8 +263,8 @@ def scatter_of(hits: Complex, impulse: Real) -> tuple[Real, Complex]:
     bend = away[:, :-2] - 2.0 * away[:, 1:-1] + away[:, 2:]
     square = np.sum(np.abs(bend) ** 2, axis=0) / (6.0 * (count - 1))
     # At the lowest lines this is the noise of those below, which have more: at 5 Hz four to ten times what is there. A
-    # mean over the trend is right (1/f^2); with it a healthy axis contradicted its declared friction, and servo gains
-    # were named beside another: below 10 Hz a LuGre bristle is no model of all that guideways do in a hit.
+    # mean over the trend is right (1/f^2), but of the two axes on which both were tried a healthy one then contradicted
+    # its declared friction, and gains were named beside the friction of another. Why is not known.
     sums, size = (np.convolve(x, np.ones(lines), "same") for x in (square, np.ones(square.size)))
     smooth = np.pad(sums / size, 1, mode="edge")
     degrees_of_freedom = count - 1
