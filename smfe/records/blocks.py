@@ -140,7 +140,8 @@ def streams(path: str | Path, channels: Mapping[str, Channel], block: int = BLOC
 
 def _own_stream(source: str, own: Iterator[xr.Dataset], declared: Mapping[str, Channel]) -> Stream:
     first = next(own)
-    table, channels = own_table(first, declared)
+    with named(source):
+        table, channels = own_table(first, declared)
 
     def parts() -> Iterator[Table]:
         yield table

@@ -59,7 +59,9 @@ def read_records(path: str | Path, channels: Mapping[str, Channel]) -> list[xr.D
     used = record_channels(channels)
     if form is netcdf.FORMAT and (own := netcdf.read_own_layout(path)) is not None:
         (record,) = own
-        return [_record(path.name, *own_table(record, used), record.attrs)]
+        with named(path.name):  # a damaged file may call an axis what none is called
+            table, own_channels = own_table(record, used)
+        return [_record(path.name, table, own_channels, record.attrs)]
     tables = form.read_tables(path, columns_of(path.name, used))
     return [_record(source, table, used) for source, table in zip(sources_of(path, tables), tables, strict=True)]
 

@@ -31,6 +31,7 @@ from smfe.records import (
     write_record_netcdf,
 )
 from smfe.records.align import align, shift
+from smfe.records.blocks import streams
 
 RATE = 2000.0
 
@@ -82,6 +83,15 @@ class TestRoundTrip:
         back = one(write_record_netcdf(record, tmp_path / "r.nc"), {})
         xr.testing.assert_equal(back, record)
         assert back["force"].attrs["units"] == "N"
+
+    def test_an_axis_that_none_is_called_is_said_with_the_file(self, tmp_path: Path) -> None:
+        path = write_record_netcdf(a_record(), tmp_path / "r.nc")
+        damaged = xr.load_dataset(path)
+        axis = ["X", *damaged["axis"].values[1:]]
+        damaged.assign_coords(axis=axis).to_netcdf(path)
+        for read in (read_records, streams):
+            with pytest.raises(InputError, match=r"^r\.nc: axis 'X' is none of x, y, z"):
+                read(path, {})
 
     def test_a_partial_axis_stays_partial(self, tmp_path: Path) -> None:
         n = 50
