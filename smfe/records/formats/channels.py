@@ -229,11 +229,16 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     if not near:
         lower = {choice.lower(): choice for choice in choices}
         near = [lower[key] for key in difflib.get_close_matches(name.lower(), list(lower), n=1, cutoff=0.6)]
-    return f" (did you mean '{near[0]}'?)" if near else ""
+    return f" (did you mean '{_in_line(near[0])}'?)" if near else ""
 
 
 def listed(names: Iterable[object], most: int = 30) -> str:
     """Return names in quotes with commas between, shortened when there are many."""
-    quoted = [f"'{name}'" for name in names]
+    quoted = [f"'{_in_line(str(name))}'" for name in names]
     more = f", and {len(quoted) - most} more" if len(quoted) > most else ""
     return (", ".join(quoted[:most]) + more) or "none"
+
+
+def _in_line(name: str) -> str:
+    """Return a name from a file as it stands in a sentence: a line break in it is no end of that."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in name)

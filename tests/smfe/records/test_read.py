@@ -93,6 +93,13 @@ class TestRoundTrip:
             with pytest.raises(InputError, match=r"^r\.nc: axis 'X' is none of x, y, z"):
                 read(path, {})
 
+    def test_a_line_break_in_the_name_of_a_column_does_not_end_the_sentence(self, tmp_path: Path) -> None:
+        io.savemat(tmp_path / "r.mat", {"d": {"t": np.arange(9.0), "a\n": np.arange(9.0)}})
+        with pytest.raises(InputError) as refused:
+            read_record(tmp_path / "r.mat", {"time": Channel("d.t", "s"), "acceleration_x": Channel("d.ax", "m/s^2")})
+        said = r"r.mat: no column 'd.ax' (did you mean 'd.a\n'?); the file has 'd.t', 'd.a\n'"
+        assert str(refused.value).startswith(said)
+
     def test_a_partial_axis_stays_partial(self, tmp_path: Path) -> None:
         n = 50
         samples = np.sin(np.arange(n))
