@@ -117,7 +117,9 @@ def first_harmonics(law, parameters, bias, amplitude, scale, nodes, weights, out
 LUGRE = (
     10  # stiffness; micro damping, sigma, coulomb, static, stribeck_speed, delta; the same six for negative velocity
 )
-MAXWELL_SLIP = 11  # coulomb, static, stribeck_speed, delta, sigma, attraction; then stiffness, share of each element
+# Attraction; coulomb, static, stribeck_speed, delta, sigma; the same five for negative velocity; then stiffness and
+# share of each element.
+MAXWELL_SLIP = 11
 
 
 @njit(cache=True, nogil=True)
@@ -186,14 +188,15 @@ def _maxwell_slip_step(p, state, velocity, step):
 
     state: force and direction of slip (0: it sticks) of each element.
     """
-    total = p[4] * velocity
-    s = _stribeck(p[0], p[1], p[2], p[3], velocity)
+    side = 1 if velocity >= 0.0 else 6
+    total = p[side + 4] * velocity
+    s = _stribeck(p[side], p[side + 1], p[side + 2], p[side + 3], velocity)
     sign = math.copysign(1.0, velocity)
     for i in range(state.size // 2):
-        stiffness, limit = p[6 + 2 * i], p[7 + 2 * i] * s
+        stiffness, limit = p[11 + 2 * i], p[12 + 2 * i] * s
         force, slips = state[2 * i], state[2 * i + 1]
         if velocity != 0.0 and slips == sign:
-            force = sign * (limit + (sign * force - limit) * math.exp(-p[5] / s * step))
+            force = sign * (limit + (sign * force - limit) * math.exp(-p[0] / s * step))
         elif velocity != 0.0:
             slips = 0.0
             force += stiffness * velocity * step

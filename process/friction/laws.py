@@ -10,7 +10,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -205,6 +205,7 @@ class MemoryLaw(ABC):
     stribeck_speed: float
     sigma: float
     delta: float
+    negative: Self | None
 
     @abstractmethod
     def packed(self) -> tuple[int, Real]:
@@ -220,16 +221,31 @@ class MemoryLaw(ABC):
     def stiffness(self) -> float:
         """Stiffness of the contact while it sticks [N/m]."""
 
-    def towards(self, velocity: float) -> MemoryLaw:
+    @abstractmethod
+    def holding(self, force: float) -> Real:
+        """Return the internal states, shape (states,), in which a relaxed law has come to hold a force [N] at rest.
+
+        Raises InputError for more than the static force.
+        """
+
+    def _holds(self, force: float) -> None:
+        static = self.towards(force).static
+        if abs(force) > static:
+            raise InputError(f"friction of {static:g} N at rest does not hold {force:g} N; give less")
+
+    def towards(self, velocity: float) -> Self:
         """Return the law for the direction of a velocity [m/s], with the same parameters both ways."""
-        return self
+        if velocity < 0.0 and self.negative is not None:
+            return self.negative
+        return replace(self, negative=None)  # type: ignore[type-var]  # subclasses are dataclasses
 
     def steady_force(self, velocity: ArrayLike) -> Real:
         """Return the force [N] under constant velocity: ``s(v) sign(v) + sigma v`` with the Stribeck curve s."""
         return self._steady().force(velocity)
 
     def _steady(self) -> Andersson:
-        return Andersson(self.coulomb, self.static, self.stribeck_speed, self.sigma, math.inf, self.delta)
+        forth = Andersson(self.coulomb, self.static, self.stribeck_speed, self.sigma, math.inf, self.delta)
+        return forth if self.negative is None else replace(forth, negative=self.negative._steady())
 
     def history(self, velocity: ArrayLike, step: float) -> Real:
         """Return the force [N] at the end of each step [s] of a velocity history [m/s], shape (n,), from rest."""
@@ -246,6 +262,8 @@ class MemoryLaw(ABC):
             coulomb_force=self.coulomb, static_force=self.static, stribeck_speed=self.stribeck_speed, delta=self.delta
         )
         _static_at_least(self.coulomb, self.static)
+        if self.negative is not None and self.negative.negative is not None:
+            raise InputError("the law for negative velocity has itself one for negative velocity; give it without")
 
 
 @dataclass(frozen=True)
@@ -289,25 +307,11 @@ class LuGre(MemoryLaw):
         self._check()
         _positive(bristle_stiffness=self.bristle_stiffness)
         _not_negative(bristle_damping=self.bristle_damping)
-        if self.negative is None:
-            return
-        if self.negative.negative is not None:
-            raise InputError("the law for negative velocity has itself one for negative velocity; give it without")
-        if self.negative.bristle_stiffness != self.bristle_stiffness:
+        if self.negative is not None and self.negative.bristle_stiffness != self.bristle_stiffness:
             raise InputError(
                 f"bristle stiffness is {self.bristle_stiffness:g} N/m and for negative velocity "
                 f"{self.negative.bristle_stiffness:g} N/m; the bristles are the same: give both the same"
             )
-
-    def towards(self, velocity: float) -> LuGre:
-        """Return the law for the direction of a velocity [m/s], with the same parameters both ways."""
-        if velocity < 0.0 and self.negative is not None:
-            return self.negative
-        return replace(self, negative=None)
-
-    def _steady(self) -> Andersson:
-        forth = super()._steady()
-        return forth if self.negative is None else replace(forth, negative=self.negative._steady())
 
     def _one_way(self) -> list[float]:
         curve = [self.coulomb, self.static, self.stribeck_speed, self.delta]
@@ -317,6 +321,11 @@ class LuGre(MemoryLaw):
         """Return the code of the law and its parameters."""
         backwards = self if self.negative is None else self.negative
         return kernels.LUGRE, np.array([self.bristle_stiffness, *self._one_way(), *backwards._one_way()])
+
+    def holding(self, force: float) -> Real:
+        """Return the bend of the bristles [m] that holds a force [N] at rest."""
+        self._holds(force)
+        return np.array([force / self.bristle_stiffness])
 
     @property
     def states(self) -> int:
@@ -352,6 +361,9 @@ class GeneralisedMaxwellSlip(MemoryLaw):
         Rate C at which a slipping element is drawn to the Stribeck curve [N/s].
     delta : float, optional
         Shape of the Stribeck curve.
+    negative : GeneralisedMaxwellSlip, optional
+        The law for negative velocity, with its own Stribeck curve and `sigma` but the same elements and attraction; by
+        default the same.
     """
 
     element_stiffness: tuple[float, ...]
@@ -362,6 +374,7 @@ class GeneralisedMaxwellSlip(MemoryLaw):
     sigma: float
     attraction: float
     delta: float = 1.0
+    negative: GeneralisedMaxwellSlip | None = None
 
     def __post_init__(self) -> None:
         """Refuse parameters without meaning."""
@@ -374,12 +387,38 @@ class GeneralisedMaxwellSlip(MemoryLaw):
             _positive(element_stiffness=k, share=a)
         if not math.isclose(sum(self.share), 1.0, rel_tol=1e-6):
             raise InputError(f"the shares sum to {sum(self.share):g}; they must sum to 1")
+        if self.negative is not None and self.negative._elements() != self._elements():
+            raise InputError(
+                f"elements {self._elements()} and for negative velocity {self.negative._elements()} (stiffness, share, "
+                "attraction); they are the same: give both the same"
+            )
+
+    def _elements(self) -> tuple[object, ...]:
+        return self.element_stiffness, self.share, self.attraction
+
+    def _one_way(self) -> list[float]:
+        return [self.coulomb, self.static, self.stribeck_speed, self.delta, self.sigma]
 
     def packed(self) -> tuple[int, Real]:
         """Return the code of the law and its parameters."""
-        curve = [self.coulomb, self.static, self.stribeck_speed, self.delta, self.sigma, self.attraction]
+        backwards = self if self.negative is None else self.negative
         elements = [x for pair in zip(self.element_stiffness, self.share, strict=True) for x in pair]
-        return kernels.MAXWELL_SLIP, np.array(curve + elements)
+        return kernels.MAXWELL_SLIP, np.array([self.attraction, *self._one_way(), *backwards._one_way(), *elements])
+
+    def holding(self, force: float) -> Real:
+        """Return force [N] and direction of slip (0: it sticks) of each element, pulled from rest up to a force [N]."""
+        self._holds(force)
+        stiffness = np.array(self.element_stiffness)
+        most = np.array(self.share) * self.towards(force).static
+        order = np.argsort(most / stiffness)
+        # Up to the travel at which an element slips, those before it slip and those from it on follow.
+        travel = (most / stiffness)[order]
+        slipped = np.concatenate([[0.0], np.cumsum(most[order])[:-1]])
+        following = np.cumsum(stiffness[order][::-1])[::-1]
+        at = float(np.interp(abs(force), slipped + following * travel, travel, left=abs(force) / stiffness.sum()))
+        out = np.zeros(self.states)
+        out[::2] = math.copysign(1.0, force) * np.minimum(stiffness * at, most)
+        return out
 
     @property
     def states(self) -> int:

@@ -21,7 +21,7 @@ from scipy import signal
 
 from process.drive.sampled_servo import sampled_transition
 from process.errors import InputError
-from process.friction.laws import LuGre
+from process.friction.laws import MemoryLaw
 from process.friction.linearised import FrictionImpedance
 from process.machine.machine import Machine
 from process.machine.modes import ModalModel
@@ -352,8 +352,8 @@ class RepeatedImpact:
         Raises
         ------
         InputError
-            When friction and joints cannot be solved for, the tool leaves the range of 1 m, or no guideway that sticks
-            with a bristle (LuGre) holds the pull.
+            When friction and joints cannot be solved for, the tool leaves the range of 1 m, or no guideway whose
+            friction has a memory holds the pull.
         """
         r = self._prepared if pull == 0.0 else _pulled(self._prepared, self._axis, pull)
         given = pack_impact(impact, r.step, r.steps)
@@ -364,16 +364,19 @@ class RepeatedImpact:
 
 
 def _pulled(r: PreparedMachine, axis: str, pull: float) -> PreparedMachine:
-    """Return a machine at rest whose drive pulls along an axis with a force [N], which bends the bristles there."""
+    """Return a machine at rest whose drive pulls along an axis with a force [N], which its guideway holds."""
     slide = list(r.problem.machine.axes).index(axis) if axis in r.problem.machine.axes else -1
     held = r.problem.friction[slide] if slide >= 0 else None
     law = None if held is None else held.law
-    if held is None or not isinstance(law, LuGre) or held.feed != 0.0 or abs(pull) > law.towards(pull).static:
-        raise InputError(f"no guideway holds a pull of {pull:g} N along {axis} at rest; give less, or a LuGre law")
+    if held is None or not isinstance(law, MemoryLaw) or held.feed != 0.0 or abs(pull) > law.towards(pull).static:
+        raise InputError(
+            f"no guideway holds a pull of {pull:g} N along {axis} at rest; give less, or friction with memory"
+        )
     element = list(r.system.nonlinear).index(slide)
     steady, state = r.elements.steady.copy(), r.state.copy()
     steady[element] += pull
-    state[r.elements.first[element]] = pull / law.bristle_stiffness
+    begin = r.elements.first[element]
+    state[begin : begin + law.states] = law.holding(pull)
     return r._replace(elements=r.elements._replace(steady=steady), state=state)
 
 

@@ -142,11 +142,11 @@ def _two_ways(forth: FrictionLaw | MemoryLaw, back: FrictionLaw | MemoryLaw) -> 
     """Return one law from those of both directions."""
     if isinstance(forth, LuGre) and isinstance(back, LuGre):
         return replace(forth, negative=back)
-    if isinstance(forth, FrictionLaw) and isinstance(back, FrictionLaw):
-        return replace(_stribeck(forth), negative=_stribeck(back))
-    raise InputError(
-        "the law 'gms' has the same parameters in both directions; take 'lugre' or 'andersson' for two sets"
-    )
+    if isinstance(forth, GeneralisedMaxwellSlip) and isinstance(back, GeneralisedMaxwellSlip):
+        return replace(forth, negative=back)
+    assert isinstance(forth, FrictionLaw)  # both have the same name
+    assert isinstance(back, FrictionLaw)
+    return replace(_stribeck(forth), negative=_stribeck(back))
 
 
 def _stribeck(law: FrictionLaw) -> Andersson:

@@ -26,7 +26,7 @@ from process.simulation.excitation import Excitation, HalfSine
 from process.simulation.machine import RepeatedImpact
 from process.simulation.problem import MachineRun
 from process.types import Complex, Real
-from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Effective
+from smfe.diagnosis.frf.axis_baseline import PRESLIDING, AxisBaseline, Effective
 from smfe.diagnosis.frf.causes import sensor_causes
 from smfe.diagnosis.frf.noise import Excited, Hits, excited_of, kept, scatter_of, smooth_errors
 from smfe.diagnosis.frf.rules import RULES
@@ -60,7 +60,12 @@ class MachineFrfs(Abilities):
         """Parameters of the baseline."""
         named = [excited_of(c).controller for c in self.conditions if c.observed is not None]
         used = Counter(n for n in named if n in self.baseline.servos)
-        return self.baseline.nuisances([str(n) for n, _ in used.most_common()[1:]])
+        found = self.baseline.nuisances([str(n) for n, _ in used.most_common()[1:]])
+        if all(excited_of(c).presliding is None for c in self.conditions):
+            return found
+        said = "how the guideway gives way before it slides"
+        within = [(-1.0, 3.0, 1.0) if way.later > 1.0 else (-0.5, 1.5, 0.5) for way in PRESLIDING]
+        return (*found, *(Parameter(f"presliding_{n}", "", 0.0, 0.1, *w, said=said) for n, w in enumerate(within)))
 
     @property
     def causes(self) -> tuple[Cause, ...]:
@@ -148,16 +153,19 @@ class MachineFrfs(Abilities):
         phi = kept(
             self._kept, (excited.way, found), lambda: self._machine(found).compliance(excited), RULES.predictions_kept
         )
-        f, skew = excited.frequency, values.get("skew", 0.0)
-        gain = (1.0 + values.get("gain_error", 0.0)) * (-1.0 if values.get("reversed_force", 0.0) > 0.5 else 1.0)
-        phi = phi * gain * np.exp(-2j * np.pi * f * skew)[:, None]
-        return excited.whitened(phi + _further_mode(excited, values))
+        if excited.presliding is not None:
+            share = [values.get(f"presliding_{n}", 0.0) for n in range(len(excited.presliding))]
+            phi = phi + np.tensordot(share, excited.presliding, 1)
+        return excited.whitened(_shown(excited, values) * phi + _further_mode(excited, values))
 
     def closed_form(self, condition: Condition, values: Values, predicted: Real, name: str) -> Real | None:
-        """Slopes with gain and skew, which act on a simulation that is done."""
+        """Slopes with what acts on a simulation that is done: gain, skew, and what the guideway does otherwise."""
+        excited = excited_of(condition)
+        if name.startswith("presliding"):
+            other = np.zeros_like(excited.std) if excited.presliding is None else excited.presliding[int(name[-1])]
+            return excited.whitened(_shown(excited, values) * other)
         if name not in ("gain_error", "skew"):
             return None
-        excited = excited_of(condition)
         phi = excited.compliance_of(predicted) - _further_mode(excited, values)
         if name == "gain_error":
             return excited.whitened(phi / (1.0 + values[name]))
@@ -169,6 +177,12 @@ class MachineFrfs(Abilities):
     def simulated(self, found: Effective) -> SimulatedMachine:
         """Return the machine for what a set of values comes to, as it is hit by simulation."""
         return SimulatedMachine(self.baseline.machine(found), self.baseline.rate)
+
+
+def _shown(excited: Excited, values: Values) -> Complex:
+    """Return what sensors show of a compliance [1], shape (f, 1)."""
+    gain = (1.0 + values.get("gain_error", 0.0)) * (-1.0 if values.get("reversed_force", 0.0) > 0.5 else 1.0)
+    return np.asarray(gain * np.exp(-2j * np.pi * excited.frequency * values.get("skew", 0.0))[:, None])
 
 
 def _further_mode(excited: Excited, values: Values) -> Complex:
@@ -334,9 +348,28 @@ def _put_right(family: MachineFrfs, discrepancy: float, friction: Values | None 
 
     Another `friction` than the baseline's stays as it is: what was put right with it has no say in it, and would lead
     away step by step.
+
+    Of a guideway that sticks the way in which it gives way is found first by hits that were put right without it, which
+    moves pulls and forces of friction to where they do its part. So the forces begin as declared, and it is found anew
+    from hits that were put right with it, until that explains no more.
     """
-    first = friction if friction is not None else _plausible_values(family)[1]
-    return _plausible_values(as_hit(family, discrepancy, first), friction)
+    if friction is not None:
+        first = friction
+    else:
+        declared = {f"{force}_error": 0.0 for force in ("coulomb", "static") if force in family.baseline.known}
+        first = {**_plausible_values(family)[1], **declared}
+    made = as_hit(family, discrepancy, first)
+    left, values = _plausible_values(made, friction)
+    if all(excited_of(c).presliding is None for c in made.conditions):
+        return left, values
+    best: tuple[float, Values] = left, first
+    for _ in range(RULES.presliding_passes):
+        before = values
+        left, values = _plausible_values(as_hit(family, discrepancy, before), friction)
+        if left >= best[0]:
+            break
+        best = left, before
+    return best
 
 
 def _plausible_values(
@@ -455,9 +488,18 @@ def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, disc
         found = found._replace(stiffness=_local_stiffness(family, found, hits_of, held, hits.compliance, excited.std))
         machine = family.simulated(found)
         states = [at_rest(h, held, y, excited.std) for h, y in zip(hits_of(machine), hits.compliance, strict=True)]
+    presliding, given = None, np.zeros_like(hits.compliance)
+    if max(side.static for side in found.friction) > 0.0:
+        other = _presliding(family, found, excited, states)
+        share = np.array([values.get(f"presliding_{n}", 0.0) for n in range(len(PRESLIDING))])
+        if held > 0.0 and share.any():
+            left = hits.compliance - np.tensordot(share, other, 1)
+            states = [at_rest(h, held, y, excited.std) for h, y in zip(hits_of(machine), left, strict=True)]
+            other = _presliding(family, found, excited, states)
+        presliding, given = np.sum(weight * other, axis=1), np.tensordot(share, other, 1)
     each = np.stack([s.compliance for s in states])
     more = (weight * each).sum(axis=0) - machine.compliance(excited)
-    mean, unexplained = (weight * hits.compliance).sum(axis=0), hits.compliance - each
+    mean, unexplained = (weight * hits.compliance).sum(axis=0), hits.compliance - each - given
     own = np.stack([scatter_of(x, hits.impulse)[1] for x in np.moveaxis(unexplained, 2, 0)], axis=2)
     smooth = smooth_errors(excited.frequency, mean, discrepancy)
     errors = errors_along_axis(excited, mean, tolerances)
@@ -472,8 +514,24 @@ def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, disc
         forth, back = (s._replace(coulomb=part * s.coulomb, static=part * s.static) for s in found.friction)
         loose = family.simulated(found._replace(friction=(forth, back))).compliance(excited)
         rows.append(loose[None] - machine.compliance(excited)[None])
-    corrected = replace(excited, shared=np.concatenate(rows))
+    corrected = replace(excited, shared=np.concatenate(rows), presliding=presliding)
     return replace(condition, data=corrected, observed=corrected.whitened(mean - more))
+
+
+def _presliding(family: MachineFrfs, found: Effective, excited: Excited, states: Sequence[State]) -> Complex:
+    """Return what hits find with other ways of giving way before sliding [m/N], shape (ways, hits, f, entries).
+
+    No law does what guideways do there. What elements do is told from a bristle, and what lags from the same elements
+    without.
+    """
+    baseline, made = family.baseline, []
+    for way in PRESLIDING:
+        machine = SimulatedMachine(baseline.machine(found, way), baseline.rate)
+        hits = zip(_hits_of(machine, excited), states, strict=True)
+        made.append(np.stack([hit(state.pull) for hit, state in hits]))
+    bristle = np.stack([state.compliance for state in states])
+    prompt = made[PRESLIDING.index(PRESLIDING[-1]._replace(later=1.0))]
+    return np.stack([x - (prompt if way.later > 1.0 else bristle) for x, way in zip(made, PRESLIDING, strict=True)])
 
 
 def _local_stiffness(

@@ -17,7 +17,7 @@ import numpy as np
 
 from process.drive.axis import Drive
 from process.drive.servo import Servo
-from process.friction.laws import FrictionLaw, LuGre, Viscous
+from process.friction.laws import FrictionLaw, GeneralisedMaxwellSlip, LuGre, MemoryLaw, Viscous
 from process.machine.joints import CubicSpring, Gap, Iwan
 from process.machine.machine import FeedAxis, Machine, MountedJoint
 from process.machine.structure import two_mass_axes
@@ -51,6 +51,20 @@ class Side(NamedTuple):
         """Return what brakes at a steady velocity [m/s], at zero what is held at rest [N], as `LuGre` has it."""
         rise = (self.static - self.coulomb) * math.exp(-abs(velocity) / self.speed) if self.speed else 0.0
         return self.coulomb + rise + self.viscous * abs(velocity)
+
+
+class Elements(NamedTuple):
+    """How the elements of a guideway slip before all of it slides."""
+
+    longest: float  # travel after which the last slips, over the middle one's; the first as much less
+    alike: str = "stiffness"  # or "force": what they have in common
+    later: float = 1.0  # time in which their force follows the Stribeck curve, over that of a bristle at its speed
+
+
+PRESLIDING = Elements(1.01), Elements(5.0), Elements(5.0, "force"), Elements(5.0, later=10.0)
+"""Ways in which guideways give way before they slide, besides that of a bristle: all at once, as over a few balls; some
+after the other over a decade and more, as is measured on rolling and plain guideways (Al-Bender, Lampaert, Swevers
+2005); and with a friction that lags behind its velocity."""
 
 
 class Effective(NamedTuple):
@@ -244,8 +258,8 @@ class AxisBaseline:
         viscous = differs("asymmetry_viscous") * values["viscous"] * ratio
         return Side(max(slides, 0.0), max(slides + rise, 0.0), speed if rise else 0.0, max(viscous, 0.0))
 
-    def machine(self, found: Effective) -> Machine:
-        """Return the machine for what a set of values comes to."""
+    def machine(self, found: Effective, elements: Elements | None = None) -> Machine:
+        """Return the machine for what a set of values comes to, with a bristle, or with elements, in its guideway."""
         across, k, (share, travel), (part, gap) = np.array([1.0, -1.0]), found.stiffness, found.micro_slip, found.gap
         joints = []
         if share > 0.0:
@@ -254,15 +268,32 @@ class AxisBaseline:
             joints.append(MountedJoint(Gap(part * k, gap), across))
         if found.cubic != 0.0:
             joints.append(MountedJoint(CubicSpring(0.0, found.cubic), across))
-        law: FrictionLaw | LuGre = Viscous(found.friction[0].viscous)
+        law: FrictionLaw | MemoryLaw = Viscous(found.friction[0].viscous)
         if max(side.static for side in found.friction) > 0.0:
             stiff, loss = 1.0 / found.contact, RULES.contact_loss / found.contact
             forth, back = (
                 LuGre(stiff, loss, max(s.coulomb, 1e-6), max(s.static, s.coulomb, 1e-6), s.speed or 1.0, s.viscous)
                 for s in found.friction
             )
-            law = replace(forth, negative=back)
+            bristle = replace(forth, negative=back)
+            law = bristle if elements is None else _elements(bristle, elements)
         linear = k * max(1.0 - share - part, 1e-6)
         structure = two_mass_axes({self.axis: Drive(*found.masses, linear, found.damping)})
         servos = dict(zip(self.servos, found.servos, strict=True))
         return Machine(structure, {self.axis: FeedAxis(servos or None, law)}, joints)
+
+
+def _elements(law: LuGre, how: Elements) -> GeneralisedMaxwellSlip:
+    """Return a guideway of elements for one with a bristle: as stiff while it sticks, and with the same forces."""
+    travel = how.longest ** np.linspace(-1.0, 1.0, RULES.slipping)
+    stiffness = np.ones(RULES.slipping) if how.alike == "stiffness" else 1.0 / travel
+    stiffness *= law.bristle_stiffness / stiffness.sum()
+    share = stiffness * travel / float(stiffness @ travel)
+    drawn = law.bristle_stiffness * law.stribeck_speed / how.later
+
+    def one_way(side: LuGre) -> GeneralisedMaxwellSlip:
+        curve = side.coulomb, side.static, side.stribeck_speed, side.sigma
+        return GeneralisedMaxwellSlip(tuple(stiffness.tolist()), tuple(share.tolist()), *curve, drawn)
+
+    back = law.negative
+    return one_way(law) if back is None else replace(one_way(law), negative=one_way(back))

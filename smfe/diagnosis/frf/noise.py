@@ -63,6 +63,8 @@ class Excited:
     controller: str | None = None  # name of the controller
     shared: Complex | None = None
     """Errors that all lines have in common, each with a random factor of unit variance [m/N], shape (m, f, entries)."""
+    presliding: Complex | None = None
+    """What hits find otherwise where the guideway gives way otherwise before it slides [m/N], shape (n, f, entries)."""
     window: float = 2.0  # time after a hit that was transformed [s]
     hits: Hits | None = field(default=None, repr=False)  # the hits one by one, where they are known
     degrees_of_freedom: float = math.inf

@@ -62,6 +62,10 @@ _SENSOR = {
 PARAMETERS = {
     "moving_mass": "moving mass",
     "contact": "softness of the contact of the guideway",
+    "presliding_0": "giving way before sliding, as of elements that slip at once",
+    "presliding_1": "giving way before sliding, as of elements of one stiffness",
+    "presliding_2": "giving way before sliding, as of elements of one force",
+    "presliding_3": "giving way before sliding, as of elements whose friction lags",
     "tip_mass": "mass of the tip",
     "stiffness": "stiffness",
     "damping": "damping",

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from process.errors import InputError
+from process.friction._kernels import friction_step
 from process.friction.laws import (
     Andersson,
     Coulomb,
@@ -96,6 +97,33 @@ def test_a_law_with_memory_settles_on_the_stribeck_curve(law: MemoryLaw) -> None
 
 
 @pytest.mark.parametrize("law", [LUGRE, SLIP])
+def test_a_law_with_memory_has_a_curve_for_each_direction(law: MemoryLaw) -> None:
+    back = replace(law, coulomb=20.0, static=60.0, stribeck_speed=3e-3, sigma=300.0)  # type: ignore[type-var]
+    both = replace(law, negative=back)  # type: ignore[type-var]
+    for velocity, own in ((2e-3, law), (-2e-3, back)):
+        force = both.history(np.full(40000, velocity), 1e-5)
+        np.testing.assert_array_equal(force, own.history(np.full(40000, velocity), 1e-5))
+        assert force[-1] == pytest.approx(float(both.steady_force(velocity)), rel=1e-3)
+    assert both.towards(-1.0) == back
+    assert both.towards(1.0) == law
+
+
+@pytest.mark.parametrize("law", [LUGRE, SLIP])
+@pytest.mark.parametrize("force", [0.0, 7.0, -50.0, 83.0])
+def test_what_a_law_with_memory_holds_at_rest_is_where_it_was_pulled_to(law: MemoryLaw, force: float) -> None:
+    """The slower it is pulled, the nearer is the state to that of rest; its force is at once what is held."""
+    state, step = law.holding(force), 1e-5
+    carried = state[0] * law.stiffness if state.size == 1 else state[::2].sum()
+    assert carried == pytest.approx(force, abs=1e-9)
+    velocity = math.copysign(1e-6, force)
+    pulled, total = np.zeros(law.states), 0.0
+    while abs(total) < abs(force) * (1.0 - 1e-9):
+        total = friction_step(*law.packed(), pulled, velocity, step)
+    bent = slice(0, None, 2) if law.states > 1 else slice(None)
+    np.testing.assert_allclose(state[bent], pulled[bent], rtol=5e-3, atol=1e-3 * np.abs(state[bent]).max() + 1e-12)
+
+
+@pytest.mark.parametrize("law", [LUGRE, SLIP])
 def test_a_law_with_memory_is_a_spring_before_it_slips(law: MemoryLaw) -> None:
     n, step, amplitude = 4000, 1e-5, 2e-8
     t = (np.arange(n) + 0.5) * step
@@ -137,6 +165,10 @@ def test_what_is_not_possible_is_refused_with_what_is_needed() -> None:
         Andersson(1.0, 2.0, 1.0, 0.0, 1e4, negative=BENCH)
     with pytest.raises(InputError, match="sum to 1"):
         GeneralisedMaxwellSlip((1e6,), (0.5,), 1.0, 2.0, 1.0, 0.0, 1.0)
+    with pytest.raises(InputError, match="they are the same: give both the same"):
+        replace(SLIP, negative=replace(SLIP, attraction=1e4))
+    with pytest.raises(InputError, match="friction of 84 N at rest does not hold -85 N"):
+        SLIP.holding(-85.0)
     with pytest.raises(InputError, match="as many of both"):
         GeneralisedMaxwellSlip((1e6, 1e6), (1.0,), 1.0, 2.0, 1.0, 0.0, 1.0)
     with pytest.raises(InputError, match="positive step"):

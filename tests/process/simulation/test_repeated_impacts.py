@@ -8,7 +8,7 @@ import pytest
 from process.drive.axis import Drive
 from process.drive.servo import Servo
 from process.errors import InputError
-from process.friction.laws import LuGre
+from process.friction.laws import GeneralisedMaxwellSlip, LuGre, MemoryLaw
 from process.machine.machine import FeedAxis, Machine
 from process.machine.structure import two_mass_axes
 from process.simulation.excitation import Excitation, HalfSine
@@ -19,6 +19,7 @@ from process.types import Real
 
 MM_MIN = 1.0 / 6e4
 FRICTION = LuGre(5e8, 6e4, 44.2, 84.0, 387.4 * MM_MIN, 168.0)
+ELEMENTS = GeneralisedMaxwellSlip((2e8, 2e8, 1e8), (0.1, 0.4, 0.5), 44.2, 84.0, 387.4 * MM_MIN, 168.0, 2e5)
 MACHINE = Machine(
     two_mass_axes({"x": Drive(23.1, 11.3, 1.68e6, 104.0)}), {"x": FeedAxis(Servo(6268.0, 10.9e-3, 45.5), FRICTION)}
 )
@@ -73,10 +74,13 @@ class Held(Excitation):
         return np.asarray(self.size * (1.0 - np.cos(np.pi * np.clip(time, 0.0, 1.0))) / 2.0)
 
 
+@pytest.mark.parametrize("law", [FRICTION, ELEMENTS], ids=["LuGre", "Maxwell slip"])
 @pytest.mark.parametrize("pull", [-60.0, 50.0])
-def test_a_hit_finds_a_guideway_that_holds_a_pull_as_one_whose_drive_was_made_to_pull_before(pull: float) -> None:
+def test_a_hit_finds_a_guideway_that_holds_a_pull_as_one_whose_drive_was_made_to_pull_before(
+    law: MemoryLaw, pull: float
+) -> None:
     """And not as one at rest without: the pull helps the slide to break away, or holds it back, by tens of per cent."""
-    free = Machine(MACHINE.structure, {"x": FeedAxis(None, FRICTION)})
+    free = Machine(MACHINE.structure, {"x": FeedAxis(None, law)})
     before, after = 1.5, 0.3
     pulled = MachineRun(before + after, forces={"x": HalfSine(0.25, 4e-3, before)}, drive_forces={"x": Held(pull)})
     problem = resolve(free, pulled)

@@ -10,7 +10,7 @@ from places import DATASETS
 from process.drive.axis import Drive
 from process.drive.servo import Servo
 from process.errors import InputError
-from process.friction.laws import Andersson, LuGre
+from process.friction.laws import Andersson, MemoryLaw
 from process.machine.machine import FeedAxis, Machine
 from process.machine.modes import ModalModel
 from process.machine.structure import Host, hosted, two_mass_axes
@@ -168,8 +168,18 @@ def test_each_law_of_friction_may_differ_with_the_direction() -> None:
             "lugre",
             {"bristle_stiffness": "20 N/um", "bristle_damping": "1e3 N s/m", "coulomb": "40 N", "static": "80 N"},
         ),
+        (
+            "gms",
+            {
+                "element_stiffness": ["20 N/um"],
+                "share": [1],
+                "attraction": "1e6 N/s",
+                "coulomb": "40 N",
+                "static": "80 N",
+            },
+        ),
     ):
-        more = {"stribeck_speed": "7 mm/s", "sigma": "150 N s/m"} if law == "lugre" else {}
+        more = {"stribeck_speed": "7 mm/s", "sigma": "150 N s/m"} if law in ("lugre", "gms") else {}
         other = {"sigma": "100 N s/m"} if law == "viscous" else {"coulomb": "30 N"}
         one, back, both = (
             machine_of(friction={"law": law, **given, **more, **change}).axes["x"].friction
@@ -177,7 +187,7 @@ def test_each_law_of_friction_may_differ_with_the_direction() -> None:
         )
         for v in (0.02, -0.02):
             wanted = one if v > 0.0 else back
-            forces = [law.steady_force(v) if isinstance(law, LuGre) else law.force(v) for law in (both, wanted)]
+            forces = [law.steady_force(v) if isinstance(law, MemoryLaw) else law.force(v) for law in (both, wanted)]
             assert float(forces[0]) == pytest.approx(float(forces[1]), rel=1e-12)
 
 

@@ -13,7 +13,9 @@ from truth.blind import draw
 from truth.campaign import Condition as Plan
 from truth.campaign import Design, measure, reduce
 from truth.chain import Chain
+from truth.imperfect import axis as imperfect
 
+import smfe
 from process.drive.servo import Servo
 from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.consequences import _friction
@@ -381,3 +383,41 @@ def test_lines_near_the_mains_are_not_as_quiet_as_their_neighbours():
     between = np.abs(f - 55.0) < 3.0
     assert np.all(humming[(f == 50.0) | (f == 60.0)] > 0.9e-10)
     assert np.array_equal(humming[between], quiet[between])
+
+
+@pytest.mark.parametrize("kind", ["gms", "lugre"])
+def test_hits_tell_a_guideway_of_elements_from_one_with_a_bristle_by_how_it_gives_way_before_it_slides(kind):
+    """A bristle leaves four times the noise of the hits on elements; of its own hits nothing that elements explain."""
+    truth = Truth(friction=Friction(kind, coulomb=(41.4, 41.4), static=(70.0, 70.0)))
+    plan = Plan("hammer", 0.0, 100.0, "K2"), Plan("hammer", 0.0, 400.0, "K2"), Plan("hammer", 250.0, 100.0, "K2")
+    records = measure(truth, Design("three", plan), 5, Chain(snr=30.0, bits=24, double=0.0))
+    given = MachineFrfs(baseline(truth=truth), tuple(condition_of(r, str(n)) for n, r in enumerate(records)))
+    values = values_of(given) | {"contact": 1.0 / truth.friction.bristle_stiffness}
+    found = as_hit(given, DISCREPANCY, values)
+    names = [p.name for p in found.nuisances if p.name.startswith("presliding")]
+    rows = [c.observed - found.predict(c, values) for c in found.conditions]
+    slopes = [
+        np.column_stack([found.closed_form(c, values, found.predict(c, values), n) for n in names])
+        for c in found.conditions
+    ]
+    for c, slope in zip(found.conditions, slopes, strict=True):
+        apart = found.predict(c, values | {names[1]: 0.5}) - found.predict(c, values)
+        np.testing.assert_allclose(0.5 * slope[:, 1], apart, rtol=1e-9, atol=1e-9 * np.abs(apart).max())
+    whole, y = np.concatenate([*slopes, np.eye(len(names))]), np.concatenate([*rows, np.zeros(len(names))])
+    u = np.linalg.lstsq(whole, y, rcond=None)[0]
+    plain, left = np.mean(np.concatenate(rows) ** 2), np.mean((y - whole @ u)[: -len(names)] ** 2)
+    if kind == "gms":
+        assert plain > 4.0
+        assert left < 1.5
+    else:
+        assert plain < 1.0
+        assert np.abs(u).max() < 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [13_701_002, 13_701_009])
+def test_a_healthy_axis_whose_guideway_slips_element_by_element_is_consistent(tmp_path, seed):
+    """With a bristle alone one was held to have other friction in each direction, and the other another friction."""
+    answer = imperfect.campaign(tmp_path / "axis", seed, ())
+    assert answer.drawn["friction"] == "gms"
+    assert smfe.diagnose(tmp_path / "axis" / "campaign.toml").verdict == "consistent"
