@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import ClassVar, NamedTuple
@@ -19,6 +20,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
+from process.errors import InputError
 from process.friction.laws import Viscous
 from process.harmonic_balance.quasi_frf import quasi_compliance
 from process.machine.machine import Machine
@@ -522,14 +524,16 @@ def _presliding(family: MachineFrfs, found: Effective, excited: Excited, states:
     """Return what hits find with other ways of giving way before sliding [m/N], shape (ways, hits, f, entries).
 
     No law does what guideways do there. What elements do is told from a bristle, and what lags from the same elements
-    without.
+    without. Elements with which a hit cannot be simulated add nothing to it.
     """
-    baseline, made = family.baseline, []
+    baseline, made, bristle = family.baseline, [], np.stack([state.compliance for state in states])
     for way in PRESLIDING:
         machine = SimulatedMachine(baseline.machine(found, way), baseline.rate)
-        hits = zip(_hits_of(machine, excited), states, strict=True)
-        made.append(np.stack([hit(state.pull) for hit, state in hits]))
-    bristle = np.stack([state.compliance for state in states])
+        each = bristle.copy()
+        for n, (hit, state) in enumerate(zip(_hits_of(machine, excited), states, strict=True)):
+            with suppress(InputError):
+                each[n] = hit(state.pull)
+        made.append(each)
     prompt = made[PRESLIDING.index(PRESLIDING[-1]._replace(later=1.0))]
     return np.stack([x - (prompt if way.later > 1.0 else bristle) for x, way in zip(made, PRESLIDING, strict=True)])
 
