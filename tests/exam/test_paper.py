@@ -95,4 +95,7 @@ def test_a_level_effect_that_persists_in_motion_is_of_the_joint_and_not_of_the_g
     truth = Truth(joint=Joint(slip_share=0.16 * SHARE_PER_DROP))
     found = diagnose(family(measured(truth, *still, *moving)))
     assert named(found) == ("named", [("joint_micro_slip", "")])
-    assert values_of(found)["micro_slip_share"] == pytest.approx(16.0 * SHARE_PER_DROP, rel=0.15)
+    # Elements that slip in part take share over travel off the stiffness; either alone is not told beside a guideway
+    # that gives way a little, too.
+    slips = values_of(found)["micro_slip_share"] / values_of(found)["micro_slip_travel"]
+    assert slips == pytest.approx(16.0 * SHARE_PER_DROP / 100.0, rel=0.15)

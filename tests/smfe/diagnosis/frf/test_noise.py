@@ -186,5 +186,7 @@ def test_an_axis_that_is_hit_hard_in_motion_is_judged_rightly_from_its_campaign_
     assert finding["verdict"] == ("named" if said else "consistent")
     for c in (*finding["causes"], *finding["immaterial"]):
         if c["id"] == "friction_asymmetry":
-            assert c["parameters"][0]["value"] == pytest.approx(50.0 * asymmetry, rel=0.15)
+            # What sliding differs by is hardly told beside how the guideway gives way before it slides; the rise is.
+            told = next(e for e in c["parameters"] if e["name"] in ("friction_asymmetry", "asymmetry_rise"))
+            assert told["value"] == pytest.approx(50.0 * asymmetry, rel=0.15)
             assert (c["size"] > 0.05) == bool(said)
