@@ -62,9 +62,9 @@ class Elements(NamedTuple):
 
 
 PRESLIDING = Elements(1.01), Elements(5.0), Elements(5.0, "force"), Elements(5.0, later=10.0)
-"""Ways in which guideways give way before they slide, besides that of a bristle: all at once, as over a few balls; some
-after the other over a decade and more, as is measured on rolling and plain guideways (Al-Bender, Lampaert, Swevers
-2005); and with a friction that lags behind its velocity."""
+"""Ways in which guideways give way before they slide, besides that of a bristle: all at once; one
+after the other over travels of 1 to 25, as the elements of generalised Maxwell slip do (Al-Bender, Lampaert, Swevers
+2005); and with a friction that lags behind its velocity. Chosen, not measured."""
 
 
 class Effective(NamedTuple):
