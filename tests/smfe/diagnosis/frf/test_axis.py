@@ -17,6 +17,8 @@ from truth.imperfect import axis as imperfect
 
 import smfe
 from process.drive.servo import Servo
+from process.errors import InputError
+from process.friction.laws import GeneralisedMaxwellSlip
 from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.consequences import _friction
 from smfe.diagnosis.frf.axis import MachineFrfs, Recorded, SimulatedMachine, as_hit, at_rest
@@ -421,3 +423,19 @@ def test_a_healthy_axis_whose_guideway_slips_element_by_element_is_consistent(tm
     answer = imperfect.campaign(tmp_path / "axis", seed, ())
     assert answer.drawn["friction"] == "gms"
     assert smfe.diagnose(tmp_path / "axis" / "campaign.toml").verdict == "consistent"
+
+
+def test_elements_with_which_a_hit_cannot_be_simulated_change_nothing(monkeypatch):
+    _, _, found, values = one(0.0, 200.0, "K2")
+    whole, hit = as_hit(found, 0.0, values).conditions[0], SimulatedMachine.hit
+
+    def refused(self, *arguments):
+        if isinstance(self.machine.axes["x"].friction, GeneralisedMaxwellSlip):
+            raise InputError("friction and joints cannot be solved for")
+        return hit(self, *arguments)
+
+    monkeypatch.setattr(SimulatedMachine, "hit", refused)
+    (mended,) = as_hit(found, 0.0, values).conditions
+    assert np.abs(whole.data.presliding).max() > 0.0
+    assert not mended.data.presliding.any()
+    np.testing.assert_array_equal(mended.observed, whole.observed)
