@@ -5,6 +5,10 @@ by each number of jobs into an empty folder; seconds by the clock and of CPU, an
 use the clock says little: the CPU seconds of the parent, which nothing shares, bound the speed-up from above,
 ``1/(p + (1 - p)/jobs)`` with p its share.
 
+``disturbed N``: the same campaigns by two jobs, killed with all its processes after a third and after two thirds of
+them and begun again, and by a cluster of two workers of which one is killed half way; whether the catalogues are that
+of an undisturbed run of one job.
+
 ``one N...``: one campaign of N measurements and 4 N cutting tests for each N, run by a process of its own: CPU seconds,
 largest resident memory, and the exponent of growth between the first and the last.
 
@@ -14,8 +18,10 @@ largest resident memory, and the exponent of growth between the first and the la
 import argparse
 import json
 import math
+import os
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -44,6 +50,28 @@ if __name__ == "__main__":
         "parent": seconds(resource.RUSAGE_SELF) - before,
         "memory": peak() / 1024,
     }))
+"""
+
+_CLUSTER = """
+import os, signal, sys, threading, time
+from pathlib import Path
+import smfe
+from distributed import Client, LocalCluster
+def main():
+    given, out, enough = sys.argv[1], sys.argv[2], int(sys.argv[3])
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as local:
+        killed = []
+        def kill():
+            while sum(1 for _ in Path(out).glob("*/.kept/run.json")) < enough:
+                time.sleep(1.0)
+            with Client(local.scheduler_address, set_as_default=False) as client:
+                killed.append(sorted(client.run(os.getpid).values())[0])
+            os.kill(killed[0], signal.SIGKILL)
+        threading.Thread(target=kill, daemon=True).start()
+        smfe.run([given], out, draw=False, scheduler=local.scheduler_address)
+        print(len(killed))
+if __name__ == "__main__":
+    main()
 """
 
 
@@ -75,6 +103,51 @@ def campaigns(folder: Path, count: int, jobs: list[int]) -> None:
     print(f"catalogues of all: {'the same' if len(tables) == 1 else 'DIFFERENT'}")
 
 
+def finished(out: Path) -> int:
+    """Return how many campaigns have their results in a folder."""
+    return sum(1 for _ in out.glob("*/.kept/run.json"))
+
+
+def disturbed(folder: Path, count: int) -> None:
+    """Print whether runs that lose processes on the way end with the catalogue of one that does not."""
+    if not (folder / "in").exists():
+        write_archive(folder / "in", count, seconds=1.5, tests=2)
+    if not (folder / "out_1" / "catalogue.parquet").exists():
+        run(folder / "in", folder / "out_1", 1, True)
+    right = (folder / "out_1" / "catalogue.parquet").read_bytes()
+
+    out = folder / "killed"
+    shutil.rmtree(out, ignore_errors=True)
+    command = [sys.executable, "-W", "ignore", "-m", "smfe", "run", "in", "--out", out.name, "--jobs", "2"]
+    seen = []
+    for enough in (count // 3, 2 * count // 3):
+        with subprocess.Popen(command, cwd=folder, stderr=subprocess.DEVNULL, start_new_session=True) as process:
+            while finished(out) < enough and process.poll() is None:
+                time.sleep(0.5)
+            os.killpg(process.pid, signal.SIGKILL)
+        seen.append(finished(out))
+    done = subprocess.run([*command, "--json"], cwd=folder, check=True, capture_output=True, text=True)
+    same = (out / "catalogue.parquet").read_bytes() == right
+    print(
+        f"{count} campaigns, killed when {seen[0]} and {seen[1]} were finished: {json.loads(done.stdout)['unchanged']} "
+        f"taken over by the third run, catalogue {'the same' if same else 'DIFFERENT'}",
+        flush=True,
+    )
+
+    out = folder / "cluster"
+    shutil.rmtree(out, ignore_errors=True)
+    script = folder / "cluster.py"
+    script.write_text(_CLUSTER, encoding="utf-8")
+    command = [sys.executable, "-W", "ignore", str(script), str(folder / "in"), str(out), str(count // 2)]
+    done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
+    same = (out / "catalogue.parquet").read_bytes() == right
+    print(
+        f"{count} campaigns by a cluster of two workers, {done.stdout.split()[-1]} killed half way: catalogue "
+        f"{'the same' if same else 'DIFFERENT'}",
+        flush=True,
+    )
+
+
 def sizes(folder: Path, kind: str, counts: list[float]) -> Iterator[tuple[float, dict[str, float]]]:
     """Yield what one campaign takes, for each size."""
     visit = visits(1)[0]
@@ -93,7 +166,7 @@ def sizes(folder: Path, kind: str, counts: list[float]) -> Iterator[tuple[float,
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("campaigns", "one", "speeds", "records"))
+    parser.add_argument("what", choices=("campaigns", "disturbed", "one", "speeds", "records"))
     parser.add_argument("sizes", type=float, nargs="+")
     parser.add_argument("--jobs", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--folder", type=Path, default=Path("growth"))
@@ -104,6 +177,9 @@ def main() -> None:
     if given.what == "campaigns":
         for size in given.sizes:
             campaigns(folder, int(size), given.jobs)
+        return
+    if given.what == "disturbed":
+        disturbed(folder, int(given.sizes[0]))
         return
     rows = []
     for n, one in sizes(folder, given.what, given.sizes):

@@ -230,7 +230,7 @@ class MemoryLaw(ABC):
 
     def _holds(self, force: float) -> None:
         static = self.towards(force).static
-        if abs(force) > static:
+        if not abs(force) <= static:
             raise InputError(f"friction of {static:g} N at rest does not hold {force:g} N; give less")
 
     def towards(self, velocity: float) -> Self:
@@ -262,6 +262,8 @@ class MemoryLaw(ABC):
             coulomb_force=self.coulomb, static_force=self.static, stribeck_speed=self.stribeck_speed, delta=self.delta
         )
         _static_at_least(self.coulomb, self.static)
+        if self.negative is not None and type(self.negative) is not type(self):
+            raise InputError(f"the law for negative velocity is no {type(self).__name__}; give one of the same kind")
         if self.negative is not None and self.negative.negative is not None:
             raise InputError("the law for negative velocity has itself one for negative velocity; give it without")
 
@@ -394,7 +396,7 @@ class GeneralisedMaxwellSlip(MemoryLaw):
             )
 
     def _elements(self) -> tuple[object, ...]:
-        return self.element_stiffness, self.share, self.attraction
+        return tuple(self.element_stiffness), tuple(self.share), self.attraction
 
     def _one_way(self) -> list[float]:
         return [self.coulomb, self.static, self.stribeck_speed, self.delta, self.sigma]
@@ -406,7 +408,10 @@ class GeneralisedMaxwellSlip(MemoryLaw):
         return kernels.MAXWELL_SLIP, np.array([self.attraction, *self._one_way(), *backwards._one_way(), *elements])
 
     def holding(self, force: float) -> Real:
-        """Return force [N] and direction of slip (0: it sticks) of each element, pulled from rest up to a force [N]."""
+        """Return force [N] and direction of slip of each element, pulled from rest up to a force [N].
+
+        One that carries all that it can does not slip yet: at rest nothing moves.
+        """
         self._holds(force)
         stiffness = np.array(self.element_stiffness)
         most = np.array(self.share) * self.towards(force).static

@@ -21,8 +21,8 @@ _NEWTON = 12
 def _maxwell_slip(law, p, state, third, velocity, step):
     """Advance by the mean velocity, which its values at the third of the step and at its end give; the force there."""
     mean = 0.75 * third + 0.25 * velocity
-    viscous = p[5] if mean >= 0.0 else p[10]
-    return friction_step(law, p, state, mean, step) + viscous * (velocity - mean)
+    viscous = (p[5] if velocity >= 0.0 else p[10]) * velocity - (p[5] if mean >= 0.0 else p[10]) * mean
+    return friction_step(law, p, state, mean, step) + viscous
 
 
 @njit(cache=True, nogil=True, _nrt=False)

@@ -14,12 +14,12 @@ import numpy as np
 from process.types import Complex, Real
 from smfe.diagnosis.evidence.cuts import CutAtAxis, Cuts
 from smfe.diagnosis.evidence.moves import Moves, Record
-from smfe.diagnosis.frf.axis import MachineFrfs
+from smfe.diagnosis.frf.axis import GIVES_WAY, MachineFrfs
 from smfe.diagnosis.frf.noise import Excited
 from smfe.diagnosis.inference.problem import Cause, Condition, Parameter, Values
 
 _AT_THE_TIP = ("gain_error", "skew")
-"""Parameters that only compliances have."""
+"""Parameters of the accelerometer."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ class AxisEvidence(MachineFrfs):
     def nuisances(self) -> tuple[Parameter, ...]:
         """Parameters of the axis, of its records and of its cuts."""
         of_records = () if self.moves is None else self.moves.nuisances
-        return (*self.baseline.nuisances(), *of_records, *(() if self.cuts is None else self.cuts.nuisances))
+        of_cuts = () if self.cuts is None else self.cuts.nuisances
+        return (*self.baseline.nuisances(), *self.frfs.presliding, *of_records, *of_cuts)
 
     @property
     def causes(self) -> tuple[Cause, ...]:
@@ -60,10 +61,10 @@ class AxisEvidence(MachineFrfs):
         return self.moves.predict(condition.data, values)
 
     def closed_form(self, condition: Condition, values: Values, predicted: Real, name: str) -> Real | None:
-        """Slopes with gain and skew of the accelerometer, which no other evidence has."""
+        """Slopes with what only compliances have: gain and skew of the accelerometer, how hits find a dry guideway."""
         if isinstance(condition.data, Excited):
             return super().closed_form(condition, values, predicted, name)
-        return np.zeros_like(predicted) if name in _AT_THE_TIP else None
+        return np.zeros_like(predicted) if name in _AT_THE_TIP or name.startswith(GIVES_WAY) else None
 
     def squared_size(self, condition: Condition, misfit: Real) -> float:
         """Return the square of the relative size of a whitened misfit: of what limits the depth, of force, of depth."""

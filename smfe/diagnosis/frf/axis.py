@@ -37,6 +37,12 @@ from smfe.diagnosis.inference.fit import Target, plausibly, residuals
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 
+DRY = "guideway_friction"
+"""Cause that makes a guideway dry that was declared not to be."""
+
+GIVES_WAY = "presliding"
+"""Name of the parameters, but for their number, of how a guideway gives way before it slides."""
+
 
 @dataclass(frozen=True)
 class MachineFrfs(Abilities):
@@ -62,12 +68,18 @@ class MachineFrfs(Abilities):
         """Parameters of the baseline."""
         named = [excited_of(c).controller for c in self.conditions if c.observed is not None]
         used = Counter(n for n in named if n in self.baseline.servos)
-        found = self.baseline.nuisances([str(n) for n, _ in used.most_common()[1:]])
-        if all(excited_of(c).presliding is None for c in self.conditions):
-            return found
+        return (*self.baseline.nuisances([str(n) for n, _ in used.most_common()[1:]]), *self.presliding)
+
+    @property
+    def presliding(self) -> tuple[Parameter, ...]:
+        """How the guideway gives way before it slides, where it is dry or may be found to be: single hits tell it."""
+        data = [excited_of(c) for c in self.conditions]
+        hit = any(d.hits is not None for d in data)
+        if not any(d.presliding is not None for d in data) and not (hit and {c.id for c in self.causes} & {DRY}):
+            return ()
         said = "how the guideway gives way before it slides"
         within = [(-1.0, 3.0, 1.0) if way.later > 1.0 else (-0.5, 1.5, 0.5) for way in PRESLIDING]
-        return (*found, *(Parameter(f"presliding_{n}", "", 0.0, 0.1, *w, said=said) for n, w in enumerate(within)))
+        return tuple(Parameter(f"{GIVES_WAY}_{n}", "", 0.0, 0.1, *w, said=said) for n, w in enumerate(within))
 
     @property
     def causes(self) -> tuple[Cause, ...]:
@@ -156,14 +168,14 @@ class MachineFrfs(Abilities):
             self._kept, (excited.way, found), lambda: self._machine(found).compliance(excited), RULES.predictions_kept
         )
         if excited.presliding is not None:
-            share = [values.get(f"presliding_{n}", 0.0) for n in range(len(excited.presliding))]
+            share = [values.get(f"{GIVES_WAY}_{n}", 0.0) for n in range(len(excited.presliding))]
             phi = phi + np.tensordot(share, excited.presliding, 1)
         return excited.whitened(_shown(excited, values) * phi + _further_mode(excited, values))
 
     def closed_form(self, condition: Condition, values: Values, predicted: Real, name: str) -> Real | None:
         """Slopes with what acts on a simulation that is done: gain, skew, and what the guideway does otherwise."""
         excited = excited_of(condition)
-        if name.startswith("presliding"):
+        if name.startswith(GIVES_WAY):
             other = np.zeros_like(excited.std) if excited.presliding is None else excited.presliding[int(name[-1])]
             return excited.whitened(_shown(excited, values) * other)
         if name not in ("gain_error", "skew"):
@@ -485,19 +497,22 @@ def _of_mean_hit(family: MachineFrfs, condition: Condition, values: Values, disc
     held = min(side.static for side in found.friction) if feed == 0.0 else 0.0
 
     hits_of, machine = partial(_hits_of, excited=excited), family.simulated(found)
-    states = [at_rest(h, held, y, excited.std) for h, y in zip(hits_of(machine), hits.compliance, strict=True)]
+
+    def states_of(machine: SimulatedMachine, measured: Complex) -> list[State]:
+        return [at_rest(h, held, y, excited.std) for h, y in zip(hits_of(machine), measured, strict=True)]
+
+    presliding, given, states = None, np.zeros_like(hits.compliance), states_of(machine, hits.compliance)
+    share = np.array([values.get(f"{GIVES_WAY}_{n}", 0.0) for n in range(len(PRESLIDING))])
+    if held > 0.0 and share.any():
+        given = np.tensordot(share, _presliding(family, found, excited, states), 1)
+        states = states_of(machine, hits.compliance - given)
     if held > 0.0 and sum(s.left for s in states) >= RULES.well * hits.compliance.size:
-        found = found._replace(stiffness=_local_stiffness(family, found, hits_of, held, hits.compliance, excited.std))
+        bare = hits.compliance - given
+        found = found._replace(stiffness=_local_stiffness(family, found, hits_of, held, bare, excited.std))
         machine = family.simulated(found)
-        states = [at_rest(h, held, y, excited.std) for h, y in zip(hits_of(machine), hits.compliance, strict=True)]
-    presliding, given = None, np.zeros_like(hits.compliance)
+        states = states_of(machine, bare)
     if max(side.static for side in found.friction) > 0.0:
         other = _presliding(family, found, excited, states)
-        share = np.array([values.get(f"presliding_{n}", 0.0) for n in range(len(PRESLIDING))])
-        if held > 0.0 and share.any():
-            left = hits.compliance - np.tensordot(share, other, 1)
-            states = [at_rest(h, held, y, excited.std) for h, y in zip(hits_of(machine), left, strict=True)]
-            other = _presliding(family, found, excited, states)
         presliding, given = np.sum(weight * other, axis=1), np.tensordot(share, other, 1)
     each = np.stack([s.compliance for s in states])
     more = (weight * each).sum(axis=0) - machine.compliance(excited)
@@ -524,18 +539,19 @@ def _presliding(family: MachineFrfs, found: Effective, excited: Excited, states:
     """Return what hits find with other ways of giving way before sliding [m/N], shape (ways, hits, f, entries).
 
     No law does what guideways do there. What elements do is told from a bristle, and what lags from the same elements
-    without. Elements with which a hit cannot be simulated add nothing to it.
+    without. Elements with which a hit cannot be simulated, or what they are told from, add nothing to it.
     """
     baseline, made, bristle = family.baseline, [], np.stack([state.compliance for state in states])
     for way in PRESLIDING:
         machine = SimulatedMachine(baseline.machine(found, way), baseline.rate)
-        each = bristle.copy()
+        each = np.full_like(bristle, np.nan)
         for n, (hit, state) in enumerate(zip(_hits_of(machine, excited), states, strict=True)):
             with suppress(InputError):
                 each[n] = hit(state.pull)
         made.append(each)
     prompt = made[PRESLIDING.index(PRESLIDING[-1]._replace(later=1.0))]
-    return np.stack([x - (prompt if way.later > 1.0 else bristle) for x, way in zip(made, PRESLIDING, strict=True)])
+    more = np.stack([x - (prompt if way.later > 1.0 else bristle) for x, way in zip(made, PRESLIDING, strict=True)])
+    return np.where(np.isnan(more), 0.0, more)
 
 
 def _local_stiffness(

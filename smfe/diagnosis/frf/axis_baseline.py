@@ -56,7 +56,7 @@ class Side(NamedTuple):
 class Elements(NamedTuple):
     """How the elements of a guideway slip before all of it slides."""
 
-    longest: float  # travel after which the last slips, over the middle one's; the first as much less
+    longest: float  # travel after which the last slips, over the geometric mean; the first as much less
     alike: str = "stiffness"  # or "force": what they have in common
     later: float = 1.0  # time in which their force follows the Stribeck curve, over that of a bristle at its speed
 
@@ -284,7 +284,10 @@ class AxisBaseline:
 
 
 def _elements(law: LuGre, how: Elements) -> GeneralisedMaxwellSlip:
-    """Return a guideway of elements for one with a bristle: as stiff while it sticks, and with the same forces."""
+    """Return a guideway of elements for one with a bristle: as stiff while it sticks, and with the same forces.
+
+    The damping of the bristle it has not.
+    """
     travel = how.longest ** np.linspace(-1.0, 1.0, RULES.slipping)
     stiffness = np.ones(RULES.slipping) if how.alike == "stiffness" else 1.0 / travel
     stiffness *= law.bristle_stiffness / stiffness.sum()

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from scipy.special import i0
 
-from process.friction.laws import Andersson, FrictionLaw, LuGre, MemoryLaw
+from process.friction.laws import FrictionLaw, MemoryLaw
 from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.frf.modal_dynamics import RAYLEIGH_LOSS
 from smfe.diagnosis.inference.problem import Parameter, Values
@@ -88,12 +88,13 @@ def contact_of(law: FrictionLaw | MemoryLaw) -> float | None:
 
     A smooth sign has none: it resists with a slope, at rest ``Fs kt``.
     """
-    return law.stiffness if isinstance(law, LuGre) else None
+    return law.stiffness if isinstance(law, MemoryLaw) else None
 
 
 def is_known(law: FrictionLaw | MemoryLaw) -> bool:
     """Return whether the Stribeck curve of a law is that of `Side`: an exponential of first order."""
-    return not isinstance(law, Andersson | LuGre) or law.delta == 1.0
+    sides = (law, getattr(law, "negative", None))
+    return all(side is None or getattr(side, "delta", 1.0) == 1.0 for side in sides)
 
 
 def nuisances(axes: Mapping[str, DeclaredAxis], tolerances: Tolerances) -> list[Parameter]:

@@ -110,8 +110,12 @@ def test_a_law_with_memory_has_a_curve_for_each_direction(law: MemoryLaw) -> Non
 
 @pytest.mark.parametrize("law", [LUGRE, SLIP])
 @pytest.mark.parametrize("force", [0.0, 7.0, -50.0, 83.0])
-def test_what_a_law_with_memory_holds_at_rest_is_where_it_was_pulled_to(law: MemoryLaw, force: float) -> None:
+@pytest.mark.parametrize("back", [84.0, 57.0])
+def test_what_a_law_with_memory_holds_at_rest_is_where_it_was_pulled_to(
+    law: MemoryLaw, force: float, back: float
+) -> None:
     """The slower it is pulled, the nearer is the state to that of rest; its force is at once what is held."""
+    law = replace(law, negative=replace(law, static=back))  # type: ignore[type-var]
     state, step = law.holding(force), 1e-5
     carried = state[0] * law.stiffness if state.size == 1 else state[::2].sum()
     assert carried == pytest.approx(force, abs=1e-9)
@@ -145,6 +149,24 @@ def test_the_loop_of_a_law_with_memory_takes_energy(law: MemoryLaw) -> None:
     assert 4 * 50e-6 * 44.2 * 0.9 < cycle < 4 * 50e-6 * 90.0
 
 
+@pytest.mark.parametrize("law", [LUGRE, SLIP])
+def test_to_and_fro_each_direction_brakes_with_its_own_forces(law: MemoryLaw) -> None:
+    """Over 20 mm, far beyond what sticks: a stroke costs its own sliding force times the way, less where it turns."""
+    forth = replace(law, sigma=0.0)  # type: ignore[type-var]
+    back = replace(forth, coulomb=20.0, static=30.0)  # type: ignore[type-var]
+    step, w, reach = 1e-5, 2.0 * math.pi * 5.0, 10e-3
+    t = (np.arange(40000) + 0.5) * step
+    velocity = reach * w * np.cos(w * t)
+    force = replace(forth, negative=back).history(velocity, step)  # type: ignore[type-var]
+    later = slice(20000, None)
+    for away, own in ((velocity[later] > 0.0, 44.2), (velocity[later] < 0.0, 20.0)):
+        work = float(np.sum(force[later][away] * velocity[later][away])) * step
+        assert work == pytest.approx(own * 2.0 * reach, rel=0.02)
+    # It lets go with the static force of the way that it goes, give or take what slips early.
+    assert 0.9 * 84.0 > force[later].max() > 44.2
+    assert -0.9 * 30.0 < force[later].min() < -20.0
+
+
 def test_half_the_step_changes_the_memory_laws_little() -> None:
     w = 2.0 * math.pi * 20.0
     for law in (LUGRE, SLIP):
@@ -169,6 +191,10 @@ def test_what_is_not_possible_is_refused_with_what_is_needed() -> None:
         replace(SLIP, negative=replace(SLIP, attraction=1e4))
     with pytest.raises(InputError, match="friction of 84 N at rest does not hold -85 N"):
         SLIP.holding(-85.0)
+    with pytest.raises(InputError, match="does not hold nan N"):
+        LUGRE.holding(math.nan)
+    with pytest.raises(InputError, match="is no GeneralisedMaxwellSlip; give one of the same kind"):
+        replace(SLIP, negative=LUGRE)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="as many of both"):
         GeneralisedMaxwellSlip((1e6, 1e6), (1.0,), 1.0, 2.0, 1.0, 0.0, 1.0)
     with pytest.raises(InputError, match="positive step"):

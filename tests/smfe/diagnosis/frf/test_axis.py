@@ -18,11 +18,11 @@ from truth.imperfect import axis as imperfect
 import smfe
 from process.drive.servo import Servo
 from process.errors import InputError
-from process.friction.laws import GeneralisedMaxwellSlip
 from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.consequences import _friction
+from smfe.diagnosis.evidence.family import with_evidence
 from smfe.diagnosis.frf.axis import MachineFrfs, Recorded, SimulatedMachine, as_hit, at_rest
-from smfe.diagnosis.frf.axis_baseline import acting
+from smfe.diagnosis.frf.axis_baseline import PRESLIDING, AxisBaseline, acting
 from smfe.diagnosis.frf.noise import Excited, Hits, compared, degrees_of_freedom_of, scatter_of, smooth_errors
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.judgement.diagnose import diagnose
@@ -425,17 +425,57 @@ def test_a_healthy_axis_whose_guideway_slips_element_by_element_is_consistent(tm
     assert smfe.diagnose(tmp_path / "axis" / "campaign.toml").verdict == "consistent"
 
 
-def test_elements_with_which_a_hit_cannot_be_simulated_change_nothing(monkeypatch):
+@pytest.mark.parametrize("refused", [{0}, {1}, {2}, {3}, {0, 1, 2, 3}])
+def test_elements_with_which_a_hit_cannot_be_simulated_change_nothing(monkeypatch, refused):
+    """Of those whose friction lags, told from the second without, also where that one cannot be."""
     _, _, found, values = one(0.0, 200.0, "K2")
-    whole, hit = as_hit(found, 0.0, values).conditions[0], SimulatedMachine.hit
+    whole, machine, without = as_hit(found, 0.0, values).conditions[0], AxisBaseline.machine, []
 
-    def refused(self, *arguments):
-        if isinstance(self.machine.axes["x"].friction, GeneralisedMaxwellSlip):
+    def other(self, effective, elements=None):
+        made = machine(self, effective, elements)
+        if elements in [PRESLIDING[n] for n in refused]:
+            without.append(made)
+        return made
+
+    def hit(self, *arguments, once=SimulatedMachine.hit):
+        if any(self.machine is one for one in without):
             raise InputError("friction and joints cannot be solved for")
-        return hit(self, *arguments)
+        return once(self, *arguments)
 
-    monkeypatch.setattr(SimulatedMachine, "hit", refused)
+    monkeypatch.setattr(AxisBaseline, "machine", other)
+    monkeypatch.setattr(SimulatedMachine, "hit", hit)
     (mended,) = as_hit(found, 0.0, values).conditions
-    assert np.abs(whole.data.presliding).max() > 0.0
-    assert not mended.data.presliding.any()
+    for n, (way, before) in enumerate(zip(mended.data.presliding, whole.data.presliding, strict=True)):
+        assert before.any()
+        lost = n in refused or (n == 3 and 1 in refused)
+        np.testing.assert_array_equal(way, 0.0 if lost else before)
     np.testing.assert_array_equal(mended.observed, whole.observed)
+
+
+def test_hits_in_motion_alone_leave_open_how_a_guideway_gives_way_that_may_prove_dry():
+    """A baseline without friction: what the search finds there must have it, too."""
+    truth = Truth()
+    (record,) = measure(truth, Design("one", (Plan("hammer", 250.0, 100.0, "K2"),)), 5, Chain(snr=30.0))
+    given = MachineFrfs(baseline("viscous", truth), (condition_of(record, "one"),))
+    smooth = as_hit(given, 0.0)
+    names = [p.name for p in smooth.nuisances]
+    dry = replace(smooth, conditions=smooth.as_found(values_of(smooth) | {"stribeck_coulomb": 40.0}))
+    assert smooth.conditions[0].data.presliding is None
+    assert dry.conditions[0].data.presliding.any()
+    assert [n for n in names if n.startswith("presliding")] == [f"presliding_{n}" for n in range(4)]
+    assert names == [p.name for p in dry.nuisances]
+
+
+def test_with_other_evidence_of_an_axis_hits_find_a_dry_guideway_as_alone():
+    _, _, found, values = one(0.0, 200.0, "K2")
+    alone = as_hit(found, 0.0, values)
+    whole = with_evidence(alone, None, None, ())
+    own = [p for p in alone.nuisances if p.name.startswith("presliding")]
+    assert len(own) == 4
+    assert set(own) <= set(whole.nuisances)
+    given = values | {"presliding_1": 0.7, "gain_error": 0.02, "skew": 1e-5}
+    (condition,) = alone.conditions
+    np.testing.assert_array_equal(whole.predict(condition, given), alone.predict(condition, given))
+    apart = alone.predict(condition, given) - alone.predict(condition, given | {"presliding_1": 0.0})
+    slope = whole.closed_form(condition, given, whole.predict(condition, given), "presliding_1")
+    np.testing.assert_allclose(0.7 * slope, apart, rtol=1e-6, atol=1e-9 * np.abs(apart).max())
