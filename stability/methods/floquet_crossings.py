@@ -325,16 +325,20 @@ def meet(reaches: Reaches, crossing: Crossing) -> Crossing | None:
     return None
 
 
-def helix_crossings(reaches: Reaches, pitch: float, deepest: float) -> Iterator[Crossing]:
+def helix_crossings(reaches: Reaches, pitch: float, deepest: float, straight: float = math.inf) -> Iterator[Crossing]:
     """Yield the crossings of a cut with a helix, lowest first.
+
+    `straight`: limit depth [m] of straight edges, if known. There the first piece ends, a little beyond it: in slow cuts
+    a piece holds dozens of crossings, of which the first is asked for.
 
     The depth is cut in pieces of a small part of the helix pitch. In each the matrix hardly changes: the crossings of
     edges that reach to its middle are all there can be, and each is followed to where the edges reach as deep as the
     cut. Where stability changes over a piece and no crossing was found, that place is closed in on.
     """
-    low, stable = 0.0, True
+    low, stable, end = 0.0, True, RULES.beyond_straight * straight
     while low < deepest:
-        high = min(deepest, low + max(1.0 / RULES.pieces_a_pitch, low / (pitch * RULES.pieces_of_depth)) * pitch)
+        high = min(deepest, end, low + max(1.0 / RULES.pieces_a_pitch, low / (pitch * RULES.pieces_of_depth)) * pitch)
+        end = math.inf
         margin = 0.5 * (high - low)
         candidates = reaches(0.5 * (low + high)).crossings(high + margin)
         followed = [meet(reaches, c) for c in candidates if c.depth > low - margin]
@@ -361,7 +365,7 @@ def _closed_in(reaches: Reaches, low: float, high: float, stable: bool) -> Cross
 
 
 def first_with_helix(
-    finer: Callable[[int], Reaches | None], pitch: float, deepest: float, tolerance: float
+    finer: Callable[[int], Reaches | None], pitch: float, deepest: float, straight: float, tolerance: float
 ) -> tuple[Crossing | None, float, int]:
     """Return the first crossing of a cut with a helix, its last relative change, and how often it was refined.
 
@@ -373,12 +377,14 @@ def first_with_helix(
         Helix pitch [m].
     deepest : float
         Depth [m] beyond which no limit is of use.
+    straight : float
+        Limit depth [m] of straight edges; infinite where they have none.
     tolerance : float
         Relative change at which the refinement ends.
     """
 
     def first(at: Reaches) -> Crossing | None:
-        return next(helix_crossings(at, pitch, deepest), None)
+        return next(helix_crossings(at, pitch, deepest, straight), None)
 
     at, level, change = finer(0), 0, math.inf
     assert at is not None
@@ -386,7 +392,7 @@ def first_with_helix(
     while (better := finer(level + 1)) is not None:
         new = meet(better, old) if old is not None else None
         change = relative_change(old, new)
-        if new is None or change > tolerance or not _stable_below(better, new.depth):
+        if new is None or not _stable_below(better, new.depth):
             new = first(better)
             change = relative_change(old, new)
         old, level = new, level + 1

@@ -744,7 +744,9 @@ def _limit_with_helix(response: _Response, lines: _Lines, spindle_speed: float, 
     _require_motion(straight)
     largest = max(float(np.abs(part).max()) for part in straight.values(angle_grid(straight.poles, RULES.even_steps)))
     deepest = 1.0 / (RULES.negligible_eigenvalue * largest)
-    found, change, level = first_with_helix(finer, lines.helix_pitch, deepest, tolerance)
+    near = next(iter(find_crossings(straight.values, angle_grid(straight.poles, RULES.even_steps))), None)
+    limit = math.inf if near is None else near.depth
+    found, change, level = first_with_helix(finer, lines.helix_pitch, deepest, limit, tolerance)
     if found is None:
         error = 0.0 if change == 0.0 else math.inf
         return LimitDepth(math.inf, error, math.nan, NO_LOBE, "none", counts[level])

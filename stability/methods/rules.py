@@ -20,6 +20,8 @@ class MethodRules:
     """Distance from theta = 0 and pi up to which curves are sampled [rad]; nearer they have become a fold or a flip."""
     pieces_a_pitch: float = 12.0
     """Pieces in which the depth of a helix pitch is searched for crossings."""
+    beyond_straight: float = 1.15
+    """Depth at which the first of these pieces ends at the latest, over the limit of straight edges."""
     pieces_of_depth: float = 48.0
     """The same of any depth, where these pieces are longer: the harmonics then are small beside the mean."""
     largest_turn: float = 1.6

@@ -379,7 +379,9 @@ def _limit_with_helix(problem: _Problem, tolerance: float) -> LimitDepth:
     straight = replace(problem, kept={}).discrete(first)
     sizes = straight.curve()(angle_grid(straight.system.turn, 4))
     deepest = 1.0 / (RULES.negligible_eigenvalue * max(float(np.abs(part).max()) for part in sizes))
-    found, change, level = first_with_helix(finer, problem.cut.helix_pitch, deepest, tolerance)
+    near = _lowest(straight)
+    limit = math.inf if near is None else near.depth
+    found, change, level = first_with_helix(finer, problem.cut.helix_pitch, deepest, limit, tolerance)
     if found is None:
         error = 0.0 if change == 0.0 else math.inf
         return LimitDepth(math.inf, error, math.nan, NO_LOBE, "none", steps[level])
