@@ -91,7 +91,8 @@ class MachineFrfs(Abilities):
 
     def _begun(self, cause: Cause) -> Cause:
         """Return a cause with the friction that the data show at once, where it is that friction."""
-        return replace(cause, begin=self.sliding) if "stribeck_coulomb" in {p.name for p in cause.parameters} else cause
+        found = {p.name for p in cause.parameters} & {"stribeck_coulomb", "friction_level"} & set(self.sliding)
+        return replace(cause, begin=self.sliding) if found else cause
 
     def condition_degrees_of_freedom(self, condition: Condition) -> float:
         """Degrees of freedom with which the noise of a measured compliance is known."""
@@ -351,8 +352,7 @@ def as_hit(family: MachineFrfs, discrepancy: float, values: Values | None = None
             declared = "coulomb" in family.baseline.known
             if with_other < (left if declared else RULES.nearly_all * left):
                 values = found_with
-                if not declared:
-                    family = replace(family, sliding=_of_stribeck(family, values))
+                family = replace(family, sliding=_with_friction(family, values))
     found = tuple(_of_mean_hit(family, c, values, discrepancy) for c in family.conditions)
     return replace(family, conditions=found, measured=family.conditions, discrepancy=discrepancy)
 
@@ -411,7 +411,7 @@ def _other_friction(family: MachineFrfs) -> Values | None:
     is the one with which these leave least, each as it came and with the pull that explains it best: of mean hits that
     were put right with too little friction, pulls have taken the rest.
     """
-    name = "guideway_friction/" + ("level" if "coulomb" in family.baseline.known else "stribeck")
+    name = _other_level(family)
     causes, feeds = family.causes, [excited_of(c).feed.get(family.baseline.axis, 0.0) for c in family.conditions]
     index = next((k for k, c in enumerate(causes) if c.key == name), None)
     moving = [r for r, c in enumerate(family.conditions) if feeds[r] != 0.0 and c.observed is not None]
@@ -449,9 +449,14 @@ def _other_friction(family: MachineFrfs) -> Values | None:
     return None if declared else {**values, level.name: best}
 
 
-def _of_stribeck(family: MachineFrfs, values: Values) -> Values:
-    """Return the values of nuisances and of the friction that nobody declared."""
-    (cause,) = (c for c in family.causes if c.key == "guideway_friction/stribeck")
+def _other_level(family: MachineFrfs) -> str:
+    """Return the key of the cause that is another friction than the baseline's."""
+    return "guideway_friction/" + ("level" if "coulomb" in family.baseline.known else "stribeck")
+
+
+def _with_friction(family: MachineFrfs, values: Values) -> Values:
+    """Return the values of nuisances and of a friction that is not the baseline's."""
+    (cause,) = (c for c in family.causes if c.key == _other_level(family))
     return {p.name: values[p.name] for p in (*family.nuisances, *cause.parameters)}
 
 

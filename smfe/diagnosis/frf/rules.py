@@ -63,7 +63,7 @@ class FrfRules:
     well: float = 20.0  # squares over the noise of a line that hits at rest may leave without their own stiffness
     noise_alone: float = 1.5  # squares over the noise of a value from which another friction is looked for
     nearly_all: float = 0.1  # of what a baseline without dry friction leaves, that one with it may leave
-    levels: tuple[float, ...] = (-0.4, 0.0, 0.4, 0.8, 1.6)  # of friction that are tried, beyond the declared
+    levels: tuple[float, ...] = (-0.8, -0.4, 0.0, 0.4, 0.8, 1.6)  # of friction that are tried, beyond the declared
     loads: tuple[float, ...] = (0.0, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0)  # the same over where fits begin, of undeclared
     level_known: float = 0.02  # of the step in which levels of friction are tried, to which the best is found
     stiffnesses: tuple[float, ...] = (0.7, 0.8, 0.9, 1.1, 1.2, 1.3)  # that are tried at rest, over that of the values
