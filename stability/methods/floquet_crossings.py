@@ -328,8 +328,8 @@ def meet(reaches: Reaches, crossing: Crossing) -> Crossing | None:
 def helix_crossings(reaches: Reaches, pitch: float, deepest: float, straight: float = math.inf) -> Iterator[Crossing]:
     """Yield the crossings of a cut with a helix, lowest first.
 
-    `straight`: limit depth [m] of straight edges, if known. There the first piece ends, a little beyond it: in slow cuts
-    a piece holds dozens of crossings, of which the first is asked for.
+    `straight`: limit depth [m] of straight edges, if known. A little beyond it the first piece ends: in slow cuts a
+    piece holds dozens of crossings, of which the first is asked for.
 
     The depth is cut in pieces of a small part of the helix pitch. In each the matrix hardly changes: the crossings of
     edges that reach to its middle are all there can be, and each is followed to where the edges reach as deep as the
