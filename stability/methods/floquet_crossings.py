@@ -392,7 +392,8 @@ def first_with_helix(
     while (better := finer(level + 1)) is not None:
         new = meet(better, old) if old is not None else None
         change = relative_change(old, new)
-        if new is None or not _stable_below(better, new.depth):
+        # What moves much may have hidden an island below, narrower than the shares at which it is confirmed.
+        if new is None or change > tolerance or not _stable_below(better, new.depth):
             new = first(better)
             change = relative_change(old, new)
         old, level = new, level + 1
