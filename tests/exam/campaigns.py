@@ -24,7 +24,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import cache, partial
@@ -311,9 +311,15 @@ def _answered(
             yield ask(case, patience)
         return
     with ProcessPoolExecutor(jobs, max_tasks_per_child=20) as pool:
-        while waiting and not until():
-            now, waiting = waiting[: 4 * jobs], waiting[4 * jobs :]
-            for future in as_completed([pool.submit(ask, case, patience) for case in now]):
+        left, asked_now = iter(waiting), set[Future[Said]]()
+        while True:
+            # One more than there are processes: none waits for the slowest of a batch, and little is begun in vain.
+            while len(asked_now) <= jobs and not until() and (case := next(left, None)):
+                asked_now.add(pool.submit(ask, case, patience))
+            if not asked_now:
+                return
+            answered, asked_now = wait(asked_now, return_when=FIRST_COMPLETED)
+            for future in answered:
                 yield future.result()
 
 

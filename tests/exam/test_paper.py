@@ -12,8 +12,6 @@ from truth.effects import SHARE_PER_DROP
 from exam.records import family
 from smfe.diagnosis.judgement.diagnose import diagnose
 
-pytestmark = pytest.mark.slow
-
 FAST = (3000.0, 4000.0)
 """Feeds [mm/min] at which nothing is left of the Stribeck effect (387 mm/min)."""
 
@@ -38,6 +36,7 @@ def values_of(found):
     return {e.name: e.value for c in found.causes for e in c.parameters}
 
 
+@pytest.mark.slow
 def test_viscous_friction_only_is_convicted_at_rest_and_at_500_mm_min():
     found = diagnose(family(measured(Truth(), Plan(), Plan(feed=500.0)), "viscous"))
     assert named(found) == ("named", [("guideway_friction", "stribeck")])
@@ -51,6 +50,7 @@ def test_viscous_friction_only_is_convicted_at_rest_and_at_500_mm_min():
     assert intervals["stribeck_coulomb"][0] > 0.5 * 44.2
 
 
+@pytest.mark.slow
 def test_coulomb_friction_is_convicted_of_missing_stribeck_where_transition_feeds_were_measured():
     found = diagnose(family(measured(Truth(), *forth(100.0, 250.0, 500.0)), "coulomb"))
     assert named(found) == ("named", [("guideway_friction", "stribeck")])
@@ -59,6 +59,7 @@ def test_coulomb_friction_is_convicted_of_missing_stribeck_where_transition_feed
     assert values["stribeck_speed"] == pytest.approx(387.4, rel=0.05)
 
 
+@pytest.mark.slow
 def test_at_rest_and_at_fast_feeds_nothing_is_missed_and_the_next_experiment_is_a_transition_feed():
     plain = family(measured(Truth(), *forth(*FAST)), "coulomb")
     like, feeds = plain.conditions[-1], (2000.0, 1000.0, 250.0, 100.0, 25.0)
@@ -78,6 +79,7 @@ def test_at_rest_and_at_fast_feeds_nothing_is_missed_and_the_next_experiment_is_
     assert next(p.size for p in slow.detectable if p.parameter == "static_rise") < 13.0
 
 
+@pytest.mark.exam
 def test_a_low_velocity_gain_with_an_integral_time_of_10_ms_is_named_as_servo_gains():
     truth = Truth()
     truth = replace(truth, servos={**truth.servos, "K1": Servo(3242.0, 10e-3, 23.5)})
@@ -89,6 +91,7 @@ def test_a_low_velocity_gain_with_an_integral_time_of_10_ms_is_named_as_servo_ga
     assert values_of(found).get("Kp_error", 0.0) == pytest.approx(0.0, abs=2.0)
 
 
+@pytest.mark.exam
 def test_a_level_effect_that_persists_in_motion_is_of_the_joint_and_not_of_the_guideway():
     still = (Plan(level=level) for level in (25.0, 100.0, 400.0))
     moving = (Plan(feed=way * 500.0, level=level) for level in (50.0, 200.0) for way in (1.0, -1.0))

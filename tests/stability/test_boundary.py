@@ -166,6 +166,7 @@ def test_the_reference_island_of_milling_is_found_in_the_plane_and_its_bands_agr
     assert found.evaluations < 0.4 * found.plain_evaluations
 
 
+@pytest.mark.slow
 def test_a_boundary_over_speed_and_immersion_lies_where_the_limit_depth_says(make_case):
     """At a point of the boundary the limit depth of that immersion and speed is the depth of the cut."""
     cases = make_case["benchmark"]

@@ -109,7 +109,7 @@ def test_a_law_with_memory_has_a_curve_for_each_direction(law: MemoryLaw) -> Non
 
 
 @pytest.mark.parametrize("law", [LUGRE, SLIP])
-@pytest.mark.parametrize("force", [0.0, 7.0, -50.0, 83.0])
+@pytest.mark.parametrize("force", [0.0, 7.0, -50.0, pytest.param(83.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("back", [84.0, 57.0])
 def test_what_a_law_with_memory_holds_at_rest_is_where_it_was_pulled_to(
     law: MemoryLaw, force: float, back: float

@@ -200,6 +200,7 @@ def test_a_mistake_of_ours_costs_its_part_and_an_interruption_everything() -> No
     assert failures.unpack({}) == []
 
 
+@pytest.mark.slow
 def test_a_cut_under_another_controller_is_not_compared_and_every_output_says_so(folder: Path, tmp_path: Path) -> None:
     for name in ("hit.csv", "cut.csv"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())

@@ -369,8 +369,12 @@ CASES = {
 }
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("case", CASES)
+LONGER = ("a helix and hardly any axial force", "one part in two hundred of the diameter")
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, marks=getattr(pytest.mark, "exam" if c in LONGER else "slow")) for c in CASES]
+)
 def test_the_prediction_comes_true_for_other_sweeps(case: str, tmp_path: Path) -> None:
     settings, change = CASES[case]
     fixed = FIXED.replace('width_of_cut = "12 mm"', 'width_of_cut = "0.4 mm"') if "part" in case else FIXED

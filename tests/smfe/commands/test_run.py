@@ -608,6 +608,7 @@ def test_wrong_usage_is_exit_code_2(monkeypatch: pytest.MonkeyPatch) -> None:
     assert command(monkeypatch, "--version") == 0
 
 
+@pytest.mark.slow
 def test_warnings_are_printed_where_the_run_was_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -94,6 +94,7 @@ def test_by_command_there_are_arrays_a_table_and_a_picture(tmp_path):
     assert table["stable"].nunique() == 2
 
 
+@pytest.mark.slow
 def test_a_run_shows_them_and_takes_them_away_with_the_question(tmp_path):
     campaign(tmp_path, 'maps_up_to = "4 mm"')
     smfe.run(tmp_path / "campaign.toml", tmp_path / "out")

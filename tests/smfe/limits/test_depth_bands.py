@@ -81,6 +81,7 @@ def test_the_map_over_one_period_sees_the_same_bands(computed):
     assert seen == {FIRST, LOST, AGAIN}
 
 
+@pytest.mark.slow
 def test_a_run_has_them_beside_its_lobes_and_takes_them_away_with_the_question(tmp_path):
     file, out = tmp_path / "campaign.toml", tmp_path / "results"
     short = CAMPAIGN.replace('["9600 rpm", "10400 rpm", "100 rpm"]', '["9900 rpm", "10100 rpm", "100 rpm"]')

@@ -214,6 +214,7 @@ def test_noise_of_sensors_is_white_and_its_units_are_those_of_a_compliance() -> 
         pytest.param(BANDS, (1, 2), id="bands, two sweeps", marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.slow
 def test_expected_error_and_condition_number_are_those_that_the_identification_has(
     estimator: LocalPolynomial, seeds: tuple[int, ...]
 ) -> None:

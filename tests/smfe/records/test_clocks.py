@@ -71,6 +71,7 @@ class TestTwoRecorders:
         left = both["acceleration"].sel(axis="z").values - motion(t)
         assert np.abs(left[inner]).max() < 0.03  # a lag of 20 us at 211 Hz, and 1e-4 of interpolation
 
+    @pytest.mark.slow
     def test_the_error_of_the_lag_is_what_it_says(self) -> None:
         errors, stds = [], []
         for seed in range(4):

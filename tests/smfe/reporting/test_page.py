@@ -113,6 +113,7 @@ class TestOneFile:
     def test_small_enough_to_mail(self, sample: Path) -> None:
         assert (sample / "report.html").stat().st_size < 6e6
 
+    @pytest.mark.slow
     def test_same_folder_same_report(self, sample: Path) -> None:
         results = read_results(sample)
         assert render(results) == page(sample)

@@ -143,6 +143,7 @@ def test_hardly_a_helix_leaves_the_limit_of_straight_edges(method):
     np.testing.assert_allclose(one, other, rtol=2e-4)
 
 
+@pytest.mark.slow
 def test_a_measured_compliance_has_the_limit_of_its_modes():
     record = MACHINE.compliance(np.arange(100.0, 4000.0, 2.0))
     limits = [float(multi_frequency(c, HELICAL, NARROW, WORK, [18000.0]).limit_depth[0]) for c in (record, MACHINE)]

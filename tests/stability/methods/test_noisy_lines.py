@@ -89,6 +89,7 @@ def compared(seed: int, some: slice) -> None:
         assert at.limit_depth == pytest.approx(dense, rel=5e-3), (seed, at.Index)
 
 
+@pytest.mark.slow
 def test_a_crossing_within_a_line_is_found():
     """5.82 mm; two steps to a line see none below 6.03 mm."""
     compared(8, slice(14, 15))

@@ -88,6 +88,7 @@ HELICAL = Tool(DIAMETER, TEETH, helix_angle=HELIX)
     ("speed", "per_period"),
     [pytest.param(500.0, 60, marks=pytest.mark.slow), (1500.0, 100), (8500.0, 100), (18000.0, 100)],
 )
+@pytest.mark.slow
 def test_the_loop_of_a_textbook_has_our_limit(speed, per_period):
     """Within 1 %, as its steps vanish: Euler's method errs in proportion to them."""
     ours = limit(speed, HELICAL, FLANK)
@@ -97,6 +98,7 @@ def test_the_loop_of_a_textbook_has_our_limit(speed, per_period):
     assert 2.0 * fine - coarse == pytest.approx(ours, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_example_tells_a_worn_flank_and_a_helix():
     """At 1000 rpm the flank raises the limit by 6 %; at 18,000 rpm the helix lowers it by 2 %."""
     assert limit(1000.0, HELICAL, FLANK) / limit(1000.0, HELICAL, 0.0) == pytest.approx(1.064, abs=0.003)

@@ -242,6 +242,7 @@ def test_a_cut_whose_own_forces_stop_a_guideway_is_said():
     assert not any(text in w for one in (fast, full) for w in one.attrs["warnings"])
 
 
+@pytest.mark.slow
 def test_a_library_of_sines_has_the_limits_of_the_machine_that_it_was_measured_on():
     machine, feeds = bench("K2"), np.array([500.0, 1000.0, 2000.0])
     library = compliance_map(machine, np.arange(8.0, 250.0, 0.5), feeds=(feeds * MM_MIN).tolist())

@@ -36,6 +36,7 @@ def test_a_campaign_of_compliances_or_limits_can_be_read(family: str, tmp_path: 
 
 
 @pytest.mark.parametrize(("family", "name"), [("cutting", "runout"), ("drive", "delay")])
+@pytest.mark.slow
 def test_what_is_hidden_costs_at_least_what_matters(family: str, name: str, tmp_path: Path) -> None:
     answer = draw(family, 4, name, tmp_path)
     assert answer.cost >= MATERIAL

@@ -45,6 +45,7 @@ def test_a_campaign_at_an_address_is_fetched_with_the_records_it_names(bucket: s
     assert not local.exists()
 
 
+@pytest.mark.slow
 def test_results_of_an_address_are_those_of_its_files_and_follow_their_changes(bucket: str, tmp_path: Path) -> None:
     first = smfe.run([bucket], tmp_path / "out", jobs=1)
     assert list(first.states.values()) == ["done"]

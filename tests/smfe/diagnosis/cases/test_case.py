@@ -69,6 +69,7 @@ def test_a_drive_campaign_is_the_family_of_its_records(monkeypatch: pytest.Monke
     assert len(case.held_out_conditions()) == len(other.conditions)
 
 
+@pytest.mark.slow
 def test_commands_that_are_not_logged_are_found_in_the_record_that_has_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """25 pulses of 5 V, which are 175.8 N; none in the other record."""
     (found,) = [s for s in audit(public("emps", monkeypatch)) if s.cause == "hidden_input"]
@@ -120,6 +121,7 @@ DECLARED = (
 
 
 @pytest.mark.parametrize(("coulomb", "said"), [(20.0, {}), (12.0, {"guideway_friction"})])
+@pytest.mark.slow
 def test_a_declared_friction_of_a_drive_is_right_or_named(tmp_path: Path, coulomb: float, said: set[str]) -> None:
     """20 N of sliding friction, 30 N at rest, of a simulation with bristles; declared as they are, and 40 % lower."""
     truth = Axis(coulomb=20.0, static=30.0, stribeck_speed=0.02, seconds=20.0)
@@ -137,6 +139,7 @@ def test_a_declared_friction_of_a_drive_is_right_or_named(tmp_path: Path, coulom
 
 
 @pytest.mark.parametrize("law", ["law = 'viscous'", "law = 'coulomb_viscous', coulomb = '20 N'"])
+@pytest.mark.slow
 def test_friction_that_differs_between_the_directions_is_known_beside_a_declared_one(tmp_path: Path, law: str) -> None:
     """60 N s/m more forwards than in the mean; the campaign of the extended model is read, and says no more of it."""
     record = record_of(Axis(coulomb=0.0 if "'viscous'" in law else 20.0, asymmetry=60.0, seconds=20.0), 5)

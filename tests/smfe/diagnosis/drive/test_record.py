@@ -337,6 +337,7 @@ def test_a_control_law_that_is_obeyed_has_no_pulses(full: DriveRecordFamily) -> 
     assert "hidden_input/command" not in [c.key for c in full.causes]
 
 
+@pytest.mark.slow
 def test_other_gains_are_found_from_the_control_law() -> None:
     """Gains documented 10 % too low and 5 % too high."""
     wrong = family(Axis(coulomb=20.0), seconds=12.0, gains=Gains(POSITION_GAIN / 1.1, VELOCITY_GAIN / 0.95))
@@ -527,6 +528,7 @@ def test_a_delay_counts_by_the_force_that_comes_late_in_any_band() -> None:
     assert sizes[0] > 0.95 * sizes[1]
 
 
+@pytest.mark.slow
 def test_a_lead_is_found_at_speeds_of_which_the_band_has_nothing() -> None:
     """A ripple of 1 mm at 0.1 m/s and faster is one of 100 Hz and more; the band ends at a third of that."""
     fast = Axis(ripple=6.0, lead=1e-3, speeds=(0.1, 0.15, 0.1, 0.2), pole=0.9)
@@ -802,6 +804,7 @@ def test_a_limit_far_below_the_largest_command_is_found_and_none_where_there_is_
         assert lost_beyond(raw, balance_of(raw, 20.0, None, delay=0.5 * STEP)) == found
 
 
+@pytest.mark.slow
 def test_a_tone_beyond_the_band_widens_it_and_is_no_part_of_the_control_law() -> None:
     """The law of the simulated drive is exact: what is left of it beside a tone of 5 N is a thousandth of that."""
     gains = Gains(POSITION_GAIN, VELOCITY_GAIN)
@@ -815,6 +818,7 @@ def test_a_tone_beyond_the_band_widens_it_and_is_no_part_of_the_control_law() ->
     assert loud.model.law.noise < 0.1
 
 
+@pytest.mark.slow
 def test_a_tone_below_the_mains_is_looked_for_whatever_the_band_is() -> None:
     """Noise of the force ends the band at 5 Hz; the tone of 23 Hz is seen above it, and the band reaches it."""
     loud = family(Axis(hum=6.0, hum_frequency=23.0, noise=6.0, pole=0.9), seconds=24.0, delay=0.5 * STEP)
@@ -840,6 +844,7 @@ def test_a_tone_beyond_any_band_is_held_against_each_move_by_itself() -> None:
     assert left[0] / observed.size < 2.0
 
 
+@pytest.mark.slow
 def test_mass_and_friction_begin_at_the_force_that_acts() -> None:
     """A command that grows to several times what the drive gives would move several times the mass."""
     made = family(Axis(coulomb=20.0, limit=100.0), seconds=24.0, delay=0.5 * STEP)

@@ -370,6 +370,7 @@ class TestFamily:
         assert values["mode_damping"] == pytest.approx(0.018, rel=0.02)
 
     @pytest.mark.parametrize("way", [1.0, -1.0])
+    @pytest.mark.slow
     def test_an_accelerometer_turned_by_a_right_angle_is_no_exchange(self, way: float) -> None:
         """About z by 90 degrees x shows y and y shows -x; of an exchange alone the sign of one is wrong."""
         bench = tapped([0, 1, 2, 3, 4], np.array([[0.0, way, 0.0], [-way, 0.0, 0.0], [0.0, 0.0, 1.0]]))
@@ -410,6 +411,7 @@ def tapped(declared: list[int], mounting: np.ndarray) -> Bench:
 
 
 @pytest.mark.parametrize(("degrees", "verdict"), [(1.0, "consistent"), (6.0, "named")])
+@pytest.mark.slow
 def test_declared_directions_are_known_to_a_degree_or_two(degrees: float, verdict: str) -> None:
     """One degree changes the limits of depth by 8 %, and is what a workshop or a finite element model is off by."""
     fam = tapped([0, 1, 2, 3, 4], np.eye(3)).model.family

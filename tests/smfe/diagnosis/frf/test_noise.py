@@ -111,6 +111,7 @@ def written(folder: Path, truth: Truth, plans: tuple[Plan, ...], seed: int) -> P
     return folder / "campaign.toml"
 
 
+@pytest.mark.slow
 def test_hits_are_kept_and_a_measurement_of_two_is_left_out_and_named(tmp_path: Path) -> None:
     path = written(tmp_path, AXIS, (Plan(repeats=3), Plan(feed=500.0, repeats=2)), 5)
     campaign, found = load_campaign(path), dict[str, Identification]()
@@ -163,12 +164,13 @@ MIXED = (
 @pytest.mark.parametrize(
     ("asymmetry", "said", "listed"),
     [
-        pytest.param(0.0, [], [], marks=pytest.mark.exam),
+        (0.0, [], []),
         # Ten per cent either way change the limit depth by 2 %: seen, but less than matters.
-        pytest.param(0.2, [], ["friction_asymmetry"], marks=pytest.mark.exam),
-        pytest.param(0.4, ["friction_asymmetry"], [], marks=pytest.mark.slow),
+        (0.2, [], ["friction_asymmetry"]),
+        (0.4, ["friction_asymmetry"], []),
     ],
 )
+@pytest.mark.exam
 def test_an_axis_that_is_hit_hard_in_motion_is_judged_rightly_from_its_campaign_file(
     tmp_path: Path, asymmetry: float, said: list[str], listed: list[str]
 ) -> None:

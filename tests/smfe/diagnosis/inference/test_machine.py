@@ -246,6 +246,7 @@ def test_a_cause_that_cannot_be_predicted_is_reported_and_is_no_evidence(how):
 
 
 @pytest.mark.parametrize("draws", [3, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_baseline_that_cannot_be_fitted_gives_no_verdict(draws):
     @dataclass(frozen=True)
     class Rough(Oscillator):

@@ -197,6 +197,7 @@ def by_small_steps(ride: tuple[Slide, ...], vector: Real, share: float, limits: 
 
 
 @pytest.mark.parametrize(("contact", "viscous"), [(0.0, 3000.0), (4e8, 6e4)])
+@pytest.mark.slow
 def test_a_joint_that_slips_in_a_hit_is_followed_in_time(contact: float, viscous: float) -> None:
     """Beside an integration element by element, in motion and on contacts that hold; one stiffness a hit is far off."""
     vector = np.array([0.8, 0.36, 0.48])

@@ -259,6 +259,7 @@ def test_a_run_writes_the_drive_into_its_results_and_its_report(tmp_path: Path) 
     np.testing.assert_allclose(curve["force [N]"], friction(v), rtol=0.03)
 
 
+@pytest.mark.slow
 def test_a_drive_that_cannot_be_identified_fails_alone_and_the_check_says_so(tmp_path: Path) -> None:
     path = written(tmp_path)
     frame = pd.read_csv(path)

@@ -42,6 +42,7 @@ def test_the_fit_recovers_table_1_from_a_clean_response() -> None:
     np.testing.assert_allclose(found(fit_open_loop(*measured(0.0, 1))), list(TRUTH.values()), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_stated_uncertainty_of_the_fit_is_its_scatter() -> None:
     fits = [fit_open_loop(*measured(0.03, seed)) for seed in range(40)]
     scatter = np.std([found(fit) for fit in fits], axis=0, ddof=1)
@@ -241,6 +242,7 @@ def test_a_response_that_eq_2_does_not_describe_is_refused() -> None:
         fit_open_loop(f, FREE.open_loop(f), np.zeros(f.size))
 
 
+@pytest.mark.slow
 def test_a_mass_that_the_band_does_not_show_is_refused() -> None:
     f = np.arange(2.0, 12.0, 0.5)
     for seed in range(8):

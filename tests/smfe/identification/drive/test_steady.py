@@ -134,6 +134,7 @@ def test_runs_without_a_rise_towards_rest_state_none() -> None:
             assert "no rise of friction towards rest" in of(fit, name, way).note
 
 
+@pytest.mark.slow
 def test_a_known_mass_takes_what_is_left_of_the_acceleration() -> None:
     """Each run slows down by 1 % of its speed: 20 t then take 133 N s/m off the viscous friction."""
     rng = np.random.default_rng(6)

@@ -112,6 +112,7 @@ def test_wide_bands_and_the_model_beat_the_narrow_band_and_stay_calibrated() -> 
 # --- noise on the forces ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_noise_of_the_forces_is_taken_out_not_only_charged() -> None:
     quiet, noisier = (
         _gain(identify_sweep("s", passes(1, force=n), (25.0, 60.0), QUICK).compliance) for n in (0.0, 5.0)

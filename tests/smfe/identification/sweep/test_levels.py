@@ -275,6 +275,7 @@ spindle_speed = ["800 rpm", "1200 rpm"]
 """
 
 
+@pytest.mark.slow
 def test_a_campaign_with_two_depths_gives_levels_by_default(folder: Path, tmp_path: Path) -> None:
     depths = {"1 mm": list(CUTS), "2 mm": list(CUTS)}
     path = campaign(folder, depths, LOBE)
