@@ -20,6 +20,7 @@ import numpy as np
 from scipy import linalg
 
 from process import units
+from process.errors import InputError
 from process.friction.laws import LuGre
 from process.machine.modes import HIGHEST_DAMPING, ModalModel
 from process.types import Real
@@ -95,7 +96,12 @@ def extended_campaign(campaign: Campaign, family: Family, finding: Finding, fold
     if finding.values:
         for kind, write in _WRITERS.items():
             if isinstance(family, kind):
-                write(draft, campaign, family, finding.values)
+                whole = _Draft(dict(draft.tables), set(draft.held), list(draft.left_out))
+                try:
+                    write(whole, campaign, family, finding.values)
+                    draft = whole
+                except InputError as refused:  # a fit that ended where no machine and no material is
+                    draft.left_out.append(f"What was found is no model, and what was declared stands here: {refused}.")
         _write_channels(draft, campaign, family, finding)
         _write_known(draft, campaign, family, finding)
     lines = [HEAD, *(f"# {text}" for text in draft.left_out)]

@@ -45,6 +45,7 @@ _MOST_GIVEN = 6  # of what was declared rightly
 _REVEALED = 2
 _MOVED = 0.005  # relative change of the best speed that is said
 _TELLING, _NORMAL = 0.9, 1.96  # an interval by how much narrower than the prior says something
+_FAR = 4.0  # spreads of what was declared by which nobody moves it without a reason
 _REPLACED = 0.5  # relative change of a dashpot that is said
 _LITTLE = 0.005  # share of the repeatable error that a sentence calls little
 
@@ -90,6 +91,7 @@ def _faults(finding: Finding, setting: Setting) -> Iterator[str]:
 def _given(finding: Finding, setting: Setting) -> Iterator[str]:
     wrong = [g for g in finding.given if g.beyond]
     told = [g for g in finding.given if not g.beyond and _is_told(g)]
+    unsure = finding.verdict in ("unknown", "insufficient_data")
     if not finding.given:
         return
     if wrong:
@@ -102,7 +104,14 @@ def _given(finding: Finding, setting: Setting) -> Iterator[str]:
         either = [f"either {listed(names, 'or')} is wrong" for names in alike.values() if len(names) > 1]
         said = [f"Not {listed(sure, 'and')}"] * bool(sure) + either
         yield f"Is what you gave right? {_capital('; '.join(said))}."
-    elif told and finding.verdict in ("unknown", "insufficient_data"):
+    elif moved := [g for g in told if unsure and abs(g.found - g.given) > _FAR * g.spread]:
+        said = [f"{given_words(g)} from {rounded(g.given)} to {_found(g)}" for g in moved]
+        yield (
+            f"Is what you gave right? That is not known: the fit moves {listed(said)}, but what is not understood may "
+            "be the reason."
+        )
+        told = [g for g in told if g not in moved]
+    elif told and unsure:
         yield "Is what you gave right? Nothing contradicts it, but what is not understood may hide an error in it."
     elif told:
         yield "Is what you gave right? As far as these measurements tell, yes."

@@ -191,6 +191,17 @@ def test_coefficients_run_out_and_what_the_sensor_does_predict_the_same_forces(t
     np.testing.assert_allclose(orders[1], orders[0], rtol=1e-6, atol=1e-6)
 
 
+def test_coefficients_of_no_material_leave_those_that_were_declared_and_say_so(tmp_path: Path) -> None:
+    """Forces of a sensor that lies are fitted down to a coefficient of zero: the finding is written all the same."""
+    given = campaign(tmp_path, CHANNELS, TOOL, '[baseline]\nforces = "mechanistic"\n', CUT)
+    family = forces()
+    finding = found(family, "edge_forces", "runout", Ktc=0.0, Kte=3e4, runout=2e-5, runout_angle=0.7)
+    whole = read(tmp_path, given, family, finding)
+    assert whole.coefficients == given.coefficients
+    (said, *_) = extended_campaign(given, family, finding, tmp_path).left_out
+    assert "what was declared stands here: K_tc is 0 N/mm^2; the tangential coefficient must be positive" in said
+
+
 def test_limits_come_from_the_modes_and_coefficients_that_are_written(tmp_path: Path) -> None:
     given = campaign(tmp_path, CHANNELS, TOOL, MODES.replace('from = "maker"', 'limits = "maker"'), CUT)
     family = limits()
