@@ -105,7 +105,10 @@ def _given(finding: Finding, setting: Setting) -> Iterator[str]:
         said = [f"Not {listed(sure, 'and')}"] * bool(sure) + either
         yield f"Is what you gave right? {_capital('; '.join(said))}."
     elif moved := [g for g in told if unsure and abs(g.found - g.given) > _FAR * g.spread]:
-        said = [f"{given_words(g)} from {rounded(g.given)} to {_found(g)}" for g in moved]
+        said = [
+            f"{given_words(g)} from {rounded(g.given)} to {with_interval(g.found, g.low, g.high, g.unit)}"
+            for g in moved
+        ]
         yield (
             f"Is what you gave right? That is not known: the fit moves {listed(said)}, but what is not understood may "
             "be the reason."

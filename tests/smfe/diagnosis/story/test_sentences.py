@@ -273,8 +273,8 @@ def test_what_was_given_comes_first_with_what_the_data_say_and_its_millimetres()
     assert "yes" not in say("given", replace(found, verdict="unknown", given=(KRC,)))[0]
     far = replace(KTC, beyond=False, found=8000.0, low=7900.0, high=8100.0)
     assert say("given", replace(found, verdict="unknown", given=(KRC, far))) == [
-        "Is what you gave right? That is not known: the fit moves cutting coefficient Ktc from 2000 to 8000 N/mm², "
-        "7900 to 8100, but what is not understood may be the reason.",
+        "Is what you gave right? That is not known: the fit moves cutting coefficient Ktc from 2000 to 8000 N/mm² "
+        "(7900 to 8100), but what is not understood may be the reason.",
         "As declared: cutting coefficient Krc 600 (found 612 N/mm², 580 to 644).",
     ]
     assert say("given", replace(found, given=(MASS,))) == [
