@@ -141,7 +141,7 @@ def _axis_family(
             f"no hammer or actuator measurement has {axis} under a force along {axis} with its "
             f"uncertainty (three hits or more{_too_few(found, (axis,))}); the baseline has nothing to be compared with"
         )
-    return MachineFrfs(baseline, tuple(conditions)), tuple(few)
+    return MachineFrfs(baseline, tuple(as_listed(conditions))), tuple(few)
 
 
 def _modal_family(
@@ -161,6 +161,7 @@ def _modal_family(
             f"no hammer or actuator measurement has an uncertainty (three hits or more{_too_few(found, AXES)}); the "
             "baseline has nothing to be compared with"
         )
+    conditions = as_listed(conditions)
     if driven:
         return machine_family(campaign, driven, modes, tuple(conditions))
     spread = {**SPREAD, **modes.spread}
@@ -200,7 +201,7 @@ def left_by_fit(modal: ModalModel, source: xr.Dataset, excited: Excited) -> Comp
 def _ordered(campaign: Campaign) -> list[tuple[Measurement, float]]:
     """Return the hammer and actuator measurements with their places in the session.
 
-    From 0 to 1 where the campaign says when each measurement was made; else all are alike.
+    From 0 to 1 where the campaign says when each measurement was made; else all are alike, until `as_listed`.
     """
     measurements = campaign.measurements
     place = dict.fromkeys(range(len(measurements)), 0.0)
@@ -208,6 +209,29 @@ def _ordered(campaign: Campaign) -> list[tuple[Measurement, float]]:
         ranked = sorted(place, key=lambda i: str(measurements[i].started))
         place |= {i: rank / (len(ranked) - 1) for rank, i in enumerate(ranked)}
     return [(m, place[i]) for i, m in enumerate(measurements) if m.method in ("hammer", "actuator")]
+
+
+def as_listed(conditions: Sequence[Condition]) -> list[Condition]:
+    """Return measurements of which nobody says when they were made in the order in which they are listed.
+
+    Not where that goes along with anything that they differ in (a list by level, place, feed or controller): whatever
+    that does would pass for a drift, and a drift for it. All stay alike then.
+    """
+    if len(conditions) < 2 or any(c.settings["order"] for c in conditions):
+        return list(conditions)
+    place = np.linspace(0.0, 1.0, len(conditions))
+    for key in {k for c in conditions for k in c.settings} - {"order"}:
+        each = [c.settings.get(key, 0.0) for c in conditions]
+        words = list(dict.fromkeys(map(str, each)))
+        numbers = all(isinstance(x, int | float) for x in each)
+        # Which of two names comes first says nothing: they are counted as they come.
+        values = np.array(each, dtype=float) if numbers else np.array([words.index(str(x)) for x in each], dtype=float)
+        for x in (values, np.abs(values)):
+            # Hits are never quite as hard as the last ones.
+            alike = np.ptp(x) <= (RULES.same_level * np.max(np.abs(x)) if key == "level" else 0.0)
+            if not alike and abs(np.corrcoef(place, x)[0, 1]) > RULES.along_list:
+                return list(conditions)
+    return [replace(c, settings={**c.settings, "order": float(t)}) for c, t in zip(conditions, place, strict=True)]
 
 
 def _known(found: Identification | None, axis: str) -> bool:

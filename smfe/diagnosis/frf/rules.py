@@ -74,6 +74,8 @@ class FrfRules:
     """Standard deviation of the pull of a drive at rest over what its guideway holds: between a servo that has wound up
     evenly (0.58) and one that stands well (0.3)."""
     same_level: float = 0.2  # relative difference of levels of hits that are meant to be the same
+    along_list: float = 0.7
+    """Correlation with its place in the list from which what measurements differ in goes along with the list."""
     contact: float = 2e-9  # compliance of a guideway that sticks [m/N], where nothing is seen of it
     contact_axis: float = (
         1.68e6  # ... of an axis of this stiffness [N/m]: the stiffer the axis, the stiffer its guideway

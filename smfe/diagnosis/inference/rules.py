@@ -81,6 +81,7 @@ class InferenceRules:
     enough: float = 0.75
     """Share of what is more than noise from which on a fit from a linearisation needs no starts from elsewhere."""
     named_starts: int = 2  # starts of a cause that are followed
+    shapes_as_declared: int = 4  # shapes of a cause from which it is fitted beside what was declared
     little: float = 0.005  # share of the misfit that counts as explained besides noise
     changing: float = 1e-4  # p-value of a parameter that changes: slow noise, known least, looks most like it
     most_words: int = 6  # words of a setting, such as names of controllers, that are distinguished

@@ -119,6 +119,7 @@ def diagnose(
                 break
             assumed, known = at.causes, dict(bench.fits)
             conditions = family.as_found(bench.model.values(at.u))
+        given = bench
         declared, objection = _contradicted(bench, at, worth), ""
         masked = not declared and not at.causes and family.masks and bench.bad(at)
         if masked:
@@ -144,7 +145,7 @@ def diagnose(
                     # What no value of it explains is a remainder, where causes explain nearly all.
                     objection = "" if bench.named(at) else IMPOSSIBLE.format(_at_limit(again, found))
                     declared = []
-                elif _empty(at, found, declared):
+                elif _empty(at, found, declared) or _too_small(again, at, found, declared, worth):
                     declared = []
                 elif not _borne_out(again, found, declared):
                     declared, unproven = [], declared
@@ -169,6 +170,10 @@ def diagnose(
         if family.masks and not declared and len(at.causes) > 1:
             bench, at, declared = _in_place(bench, at, released_bench, worth)
         at, steps = _told(bench, at, steps, worth)
+        # What a cause that is gone had moved is as declared again.
+        plain = given.fits.get(at.causes)
+        if declared and plain is not None and plain.converged and _too_small(bench, plain, at, declared, worth):
+            bench, at, declared = given, plain, []
         if not objection and (name := _at_limit(bench, at)):
             objection = IMPOSSIBLE.format(name)
         objection = objection or drifting(bench, at, worth)
@@ -355,6 +360,19 @@ def _empty(at: Fit, found: Fit, released: Sequence[Released]) -> bool:
     """
     gained = at.chi2 - found.chi2
     return found.causes == at.causes and gained < RULES.delivered * min(r.ratio for r in released)
+
+
+def _too_small(bench: Bench, at: Fit, found: Fit, released: Sequence[Released], worth: Worth) -> bool:
+    """Whether a release, fitted, changes less than matters of what its first order promised.
+
+    Neither its values nor all that moves with them: then the simulation is as it was declared, for what it is asked.
+    """
+    if found.causes != at.causes or worth.material == 0.0:
+        return False
+    size = _size_of(bench, worth)
+    moved = max(size(at.u, found.u, g) for r in released for g in r.given)
+    own = max((c.size or 0.0 for c in _declared(bench, released, worth, found)), default=0.0)
+    return max(moved, own) < worth.material
 
 
 def _borne_out(bench: Bench, at: Fit, released: Sequence[Released]) -> bool:

@@ -181,12 +181,13 @@ def _others(bench: Bench, at: Fit, replaced: int | None = None) -> list[int]:
 def _promising(bench: Bench, at: Fit, others: Sequence[int], limit: float) -> list[int]:
     """Causes that come near a limit to first order, and the best few: those that are worth a fit."""
     gains = {k: bench.first_order(at, (k,)) - charge(bench.model, [k]) for k in others}
-    ordered = sorted((k for k in others if gains[k] > 1.0 or bench.far([k])), key=lambda k: -gains[k])
+    hinted = {k for k in others if bench.hinted(at, k)}
+    ordered = sorted((k for k in others if gains[k] > 1.0 or bench.far([k]) or k in hinted), key=lambda k: -gains[k])
     bad = bench.bad(at)
     tried = [
         k
         for n, k in enumerate(ordered)
-        if n < RULES.least_tried or gains[k] > RULES.promising * limit or (bad and bench.far([k]))
+        if n < RULES.least_tried or gains[k] > RULES.promising * limit or k in hinted or (bad and bench.far([k]))
     ]
     # What fitted nearly the same data best goes first, then what explains a part of them with slopes of the smaller
     # fit: what does worse is not followed to its optimum. What acts far from its null only comes in the order of the

@@ -23,7 +23,7 @@ from smfe.campaign.tolerances import Tolerances
 from smfe.commands.diagnose import diagnose
 from smfe.diagnosis.audit import audit
 from smfe.diagnosis.cases.case import Case
-from smfe.diagnosis.cases.compliances import case_of, steadied
+from smfe.diagnosis.cases.compliances import as_listed, case_of, steadied
 from smfe.diagnosis.cases.experiments import proposed_experiments
 from smfe.diagnosis.cases.known import with_known
 from smfe.diagnosis.cutting.forces import cutting_family
@@ -225,6 +225,27 @@ def condition(name: str, feed: float, level: float = 1.0, **settings: float | st
     excited = Excited(F, (("x", "x"),), np.full((F.size, 1), 3e-8), "hammer", level, 4e-3, {"x": feed / 6e4}, "K2")
     given = {"method": "hammer", "feed": feed / 6e4, "level": level, "controller": "K2", "order": 0.0, **settings}
     return Condition(name, given, None, name, excited)
+
+
+@pytest.mark.parametrize(
+    ("given", "orders"),
+    [
+        # Levels that were meant to be the same, or that come and go, tell a drift from what a level does.
+        ([{"level": 1.0}, {"level": 1.1}, {"level": 0.95}], [0.0, 0.5, 1.0]),
+        ([{"level": 1.0}, {"level": 2.0}, {"level": 0.5}, {"level": 1.0}], [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0]),
+        # A list by level, place, feed (to and fro, too) or controller does not.
+        ([{"level": 0.5}, {"level": 1.0}, {"level": 2.0}], [0.0, 0.0, 0.0]),
+        ([{"position": 0.0}, {"position": 0.2}, {"position": 0.4}], [0.0, 0.0, 0.0]),
+        ([{"feed": 0.0}, {"feed": 0.01}, {"feed": -0.02}], [0.0, 0.0, 0.0]),
+        ([{"controller": "K1"}, {"controller": "K1"}, {"controller": "K2"}], [0.0, 0.0, 0.0]),
+        ([{}], [0.0]),
+        # What somebody said stays.
+        ([{"order": 1.0}, {"order": 0.0}], [1.0, 0.0]),
+    ],
+)
+def test_measurements_without_a_time_are_as_listed_where_nothing_else_goes_along_with_the_list(given, orders) -> None:
+    listed = as_listed([condition(str(n), **{"feed": 0.0, **settings}) for n, settings in enumerate(given)])
+    assert [c.settings["order"] for c in listed] == pytest.approx(orders)
 
 
 def machine(true: dict[str, float], *conditions: Condition) -> MachineFrfs:

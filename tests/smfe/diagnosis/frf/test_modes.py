@@ -565,3 +565,48 @@ def test_a_joint_at_rest_has_lost_nothing_and_one_that_slides_loses_all():
     lost = _spent(1e-3, 0.3, np.array([0.0, 1e3]), np.zeros(2))
     assert abs(lost[0]) < 1e-12
     assert lost[1].real == pytest.approx(-0.3, rel=0.01)
+
+
+def mode_sum(frequency: np.ndarray, found: list[tuple[float, float, float, tuple[float, float, float]]]) -> np.ndarray:
+    """Compliance of modes (natural frequency, damping ratio, stiffness, direction), shape (f, 3, 3)."""
+    out = np.zeros((frequency.size, 3, 3), dtype=complex)
+    for natural, damping, stiffness, along in found:
+        unit = np.array(along) / np.linalg.norm(along)
+        ratio = frequency[:, None, None] / natural
+        out += np.outer(unit, unit) / (stiffness * (1.0 - ratio**2 + 2j * damping * ratio))
+    return out
+
+
+@pytest.mark.slow
+def test_a_mode_that_nobody_declared_is_found_however_far_the_fit_without_it_goes_astray() -> None:
+    """Without it hits that lean by 50 degrees take up most of the mode, in a minimum from which no slope leads back."""
+    true, gone = (
+        [(41.0, 0.03, 28e6, (1, 0.15, 0.05)), (63.0, 0.025, 35e6, (-0.1, 1, 0.2))],
+        (118.0, 0.03, 6e7, (0.7, 0.6, 0.2)),
+    )
+    rng = np.random.default_rng(5)
+    lines = np.linspace(0.5 * true[0][0], 2.0 * true[-1][0], 110)
+    entries = tuple(product("xy", "xy"))
+    seen = np.stack([mode_sum(lines, [*true, gone])[:, "xyz".index(r), "xyz".index(e)] for r, e in entries], axis=1)
+    noise = 0.02 * np.sqrt(np.mean(np.abs(seen) ** 2))
+    conditions = []
+    for k in range(3):
+        std = np.hypot(noise * np.ones(seen.shape) / 5.0, 0.002 * np.abs(seen))
+        excited = Excited(lines, entries, std, "hammer", 0.5 * (1.0 + k % 2), repeats=5)
+        drawn = seen + std * (rng.standard_normal((2, *seen.shape)).T @ [1.0, 1j]).T / math.sqrt(2.0)
+        conditions.append(Condition(f"set_{k}", {"level": excited.level}, excited.whitened(drawn), "", excited))
+    off = rng.standard_normal((3, len(true)))
+    declared = ModalModel(
+        [f * (1.0 + 0.003 * x) for (f, *_), x in zip(true, off[0], strict=True)],
+        [z * (1.0 + 0.05 * x) for (_, z, *_), x in zip(true, off[1], strict=True)],
+        [k * (1.0 + 0.02 * x) for (_, _, k, _), x in zip(true, off[2], strict=True)],
+        [np.array(d) / np.linalg.norm(d) for *_, d in true],
+    )
+    spread = {"frequency": 0.01, "damping": 0.15, "stiffness": 0.05}
+    found = diagnose(
+        ModalFrfs(declared, tuple(conditions), spread=spread, stated=tuple(spread)).with_errors(), workers=1
+    )
+    assert [c.id for c in found.causes] == ["missing_mode"]
+    assert found.verdict == "named"
+    (frequency,) = (p.value for p in found.causes[0].parameters if p.name == "mode_frequency")
+    assert frequency == pytest.approx(gone[0], rel=0.005)
