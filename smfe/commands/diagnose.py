@@ -143,7 +143,8 @@ def diagnose(
     finding, content = _tested(loaded, case, suspects, seed, *how)
     if path is not None:
         write_finding(path, content, finding.curves)
-    warn(f"{s.where}: {s.evidence}; {s.advice}" for s in suspects if s.level == "fault")
+    told = [*(s for s in suspects if s.level == "fault"), *(s for s in case.suspects if s.level != "note")]
+    warn(f"{s.where}: {s.evidence}; {s.advice}" for s in told)
     return finding
 
 
@@ -235,7 +236,8 @@ def _tested(
     compliances = {name: item.compliance for name, item in (measured or {}).items()}
     worth = worth_of(campaign, case.family)
     finding = diagnose_family(with_known(case.family, campaign), seed, progress, left_out, workers, worth)
-    faults = [s for s in suspects if s.level == "fault"]
+    # What the comparison had to leave out is said as well as what the audit did.
+    faults = [*(s for s in suspects if s.level == "fault"), *(s for s in case.suspects if s.level == "warning")]
     finding = with_consequences(campaign, case.family, finding, left_out, happened, compliances, faults)
     said = Diagnosis(**{f.name: getattr(finding, f.name) for f in fields(finding)})
     made = extended_campaign(campaign, case.family, finding, Path.cwd() if path is None else path.parent)

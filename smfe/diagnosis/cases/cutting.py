@@ -74,6 +74,8 @@ def cutting_case(campaign: Campaign) -> Case:
         stated=campaign.coefficient_spread is not None,
     )
     proposals = tuple(replace(p, settings={**p.settings, "minutes": PROPOSALS.cut}) for p in family.proposals)
+    compared = {c.name for c in family.conditions}
+    groups = {file: kept for file, names in groups.items() if (kept := tuple(n for n in names if n in compared))}
     return Case(replace(family, proposals=proposals), groups, _held_out(campaign, groups), (*notes, *family.suspects))
 
 

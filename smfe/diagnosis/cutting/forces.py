@@ -17,7 +17,7 @@ from process.cut.tool import Tool
 from process.errors import InputError
 from process.types import Complex, Real
 from smfe.campaign.tolerances import Tolerances
-from smfe.diagnosis.checks.suspect import Suspect
+from smfe.diagnosis.checks.suspect import Suspect, warning
 from smfe.diagnosis.cutting.orders import CuttingOrders, SteadyCut, beside_mains, cutting_orders, out_of_reach
 from smfe.diagnosis.cutting.rigid import rigid_orders
 from smfe.diagnosis.cutting.rules import RULES
@@ -217,10 +217,19 @@ def cutting_family(
         Whether the coefficients were given with their uncertainty; else less than it may matter too.
     """
     known = tolerances or Tolerances()
-    found = {name: cutting_orders(record, tool, cut, floor, leak) for name, (record, cut) in records.items()}
+    found, refused = dict[str, CuttingOrders](), list[Suspect]()
+    for name, (record, cut) in records.items():
+        try:
+            found[name] = cutting_orders(record, tool, cut, floor, leak)
+        except InputError as why:
+            refused.append(warning("no_orders", name, str(why), "left out of the comparison"))
     if not any(c.cut.depth > 0.0 for c in found.values()):
-        raise InputError("no record of a cut was given; a model of cutting forces needs at least one")
+        raise InputError(
+            "; ".join(f"{s.where}: {s.evidence}" for s in refused)
+            or "no record of a cut was given; a model of cutting forces needs at least one"
+        )
     found, suspects = beside_mains(found, known.hum, known.material)
+    suspects = (*refused, *suspects)
     conditions = [_condition(name, c, measured=True) for name, c in found.items()]
     # Records are given in the order in which they were made: what changes with it warms up or wears.
     conditions = [replace(c, settings={**c.settings, "order": float(k)}) for k, c in enumerate(conditions)]

@@ -151,10 +151,16 @@ def cutting_orders(
     turns = force.shape[1] * dt * cut.rotation / (2.0 * math.pi)
     per_block = round(RULES.block * 2.0 * math.pi / (cut.rotation * dt))
     blocks = force.shape[1] // per_block
-    if turns < RULES.least_revolutions or per_block < 4 * RULES.block * RULES.tooth_orders * tool.teeth:
+    least = 4 * RULES.tooth_orders * tool.teeth
+    if turns < RULES.least_revolutions:
         raise InputError(
-            f"{turns:.3g} revolutions of {per_block / RULES.block:.3g} samples; at least {RULES.least_revolutions} of "
-            f"{4 * RULES.tooth_orders * tool.teeth} are needed: record longer or faster"
+            f"{turns:.3g} revolutions of the spindle in what counts as steady; at least {RULES.least_revolutions} are "
+            "needed: record longer, or give the steady part as `interval` of the cutting test"
+        )
+    if per_block < RULES.block * least:
+        raise InputError(
+            f"{per_block / RULES.block:.3g} samples a revolution; at least {least} are needed for {RULES.tooth_orders} "
+            f"orders of {tool.teeth} teeth: record faster"
         )
     each = _by_block(force[:, : blocks * per_block], dt * cut.rotation, blocks, RULES.tooth_orders * tool.teeth + 1)
     if cut.depth > 0.0:

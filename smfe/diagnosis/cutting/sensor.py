@@ -111,7 +111,10 @@ def _resonance(axis: str, highest: float) -> tuple[Parameter, Parameter]:
     square, lag = 0.1 / highest**2, 0.05 / highest
     return (
         Parameter(f"dynamometer_{axis}", "1/kHz^2", 0.0, square, 0.0, 1000.0 * square, shown=1e6),
-        Parameter(f"dynamometer_lag_{axis}", "ms", 0.0, lag, 0.0, 200.0 * lag, shown=1e3, secondary=True),
+        # In turns, as all here counts frequency; shown is the time that it lags.
+        Parameter(
+            f"dynamometer_lag_{axis}", "ms", 0.0, lag, 0.0, 200.0 * lag, shown=1e3 / (2.0 * math.pi), secondary=True
+        ),
     )
 
 

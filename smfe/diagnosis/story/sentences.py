@@ -82,7 +82,8 @@ def _faults(finding: Finding, setting: Setting) -> Iterator[str]:
     for s in setting.faults:
         done = "was left out" if s.excludes else "is compared as it is"
         where = s.where.replace("_", " ") if "." not in s.where else s.where
-        yield f"A fault in the data, so that it {done}: {where}: {s.evidence}. {_capital(s.advice)}."
+        what = f"A fault in the data, so that it {done}" if s.level == "fault" else "Of the data"
+        yield f"{what}: {where}: {s.evidence}. {_capital(s.advice)}."
 
 
 # --- Is what was given right?

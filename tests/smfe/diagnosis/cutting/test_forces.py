@@ -285,6 +285,33 @@ def test_a_worn_insert_is_not_in_the_catalogue(seed: int) -> None:
     assert hidden("dull_tooth", seed)[0].verdict == "unknown"
 
 
+def test_a_record_that_is_too_short_is_left_out_and_named_and_the_others_are_judged() -> None:
+    whole = measure_cuts(Mill(), FEEDS[1:3], 1)
+    least = whole[0]["time"].size // 20
+    short = {**whole[0], "time": whole[0]["time"][:least], "force": whole[0]["force"][:, :least]}
+    family = family_of([short, whole[1]])
+    assert [c.name for c in family.conditions] == ["cut 1"]
+    (suspect,) = (s for s in family.suspects if s.cause == "no_orders")
+    assert (suspect.level, suspect.where) == ("warning", "cut 0")
+    assert "revolutions of the spindle in what counts as steady; at least 40 are needed" in suspect.evidence
+    with pytest.raises(InputError, match="cut 0: .* revolutions .*record longer, or give the steady part"):
+        family_of([short])
+
+
+def test_a_channel_behind_a_low_pass_of_first_order_lags_by_its_time_constant() -> None:
+    """1/(1 + j w tau) with tau = 1/(2 pi 120 Hz) = 1.326 ms, which is what is shown."""
+    (lag,) = (
+        p
+        for c in family_of(measure_cuts(Mill(), FEEDS[1:3], 1)).causes
+        for p in c.parameters
+        if p.name == "dynamometer_lag_x"
+    )
+    rotation, tau = 2.0 * math.pi * 25.0, 1.0 / (2.0 * math.pi * 120.0)
+    seen = through_sensor(np.ones((8, 3), dtype=complex), rotation, {"dynamometer_lag_x": 1e3 * tau / lag.shown})
+    np.testing.assert_allclose(seen[:, 0], 1.0 / (1.0 + 1j * np.arange(8) * rotation * tau), rtol=1e-12)
+    np.testing.assert_array_equal(seen[:, 1:], 1.0)
+
+
 @pytest.mark.slow
 def test_resonances_of_the_dynamometer_are_named_where_speeds_reach_them() -> None:
     """Up to 2100 rpm they are worth 8 % of the force only; two faster cuts name them with their frequencies."""

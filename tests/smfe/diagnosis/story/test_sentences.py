@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smfe.diagnosis.checks.suspect import fault
+from smfe.diagnosis.checks.suspect import fault, warning
 from smfe.diagnosis.inference.cross_validation import Gain
 from smfe.diagnosis.inference.thresholds import Detectable
 from smfe.diagnosis.judgement.finding import (
@@ -357,11 +357,13 @@ def test_the_best_speed_is_told_before_and_after() -> None:
 
 def test_a_fault_of_the_data_is_told_in_words_before_anything_is_blamed() -> None:
     left_out = fault("unit_error", "hammer_500, xx", "its stiffness is 3 N/m", "correct the unit", ("measurement", "h"))
-    setting = Setting(faults=(left_out, fault("sensor_axis", "idle", "two are exchanged", "exchange them")))
+    short = warning("no_orders", "cut 1", "28 revolutions", "left out of the comparison")
+    setting = Setting(faults=(left_out, fault("sensor_axis", "idle", "two are exchanged", "exchange them"), short))
     passages = told(Finding("named", "it is", (DELAY,), errors=ERRORS), setting)
     assert [p.text for p in passages if p.about == "fault"] == [
         "A fault in the data, so that it was left out: hammer 500, xx: its stiffness is 3 N/m. Correct the unit.",
         "A fault in the data, so that it is compared as it is: idle: two are exchanged. Exchange them.",
+        "Of the data: cut 1: 28 revolutions. Left out of the comparison.",
     ]
     assert passages[0].about == "fault"
 
