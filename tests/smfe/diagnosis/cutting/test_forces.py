@@ -294,7 +294,7 @@ def test_a_record_that_is_too_short_is_left_out_and_named_and_the_others_are_jud
     (suspect,) = (s for s in family.suspects if s.cause == "no_orders")
     assert (suspect.level, suspect.where) == ("warning", "cut 0")
     assert "revolutions of the spindle in what counts as steady; at least 40 are needed" in suspect.evidence
-    with pytest.raises(InputError, match="cut 0: .* revolutions .*record longer, or give the steady part"):
+    with pytest.raises(InputError, match=r"cut 0: .* revolutions .*record longer, or give the steady part"):
         family_of([short])
 
 
