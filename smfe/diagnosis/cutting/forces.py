@@ -48,6 +48,11 @@ class CuttingForces(Abilities):
     stated: bool = False  # whether the coefficients were given with their uncertainty
 
     @property
+    def one_scale(self) -> bool:
+        """Depth and width of a cut are as they were declared."""
+        return True
+
+    @property
     def nuisances(self) -> tuple[Parameter, ...]:
         """What is known within tolerances: coefficients, edge forces, the force sensor; and the helix that smooths."""
         start = min(self.tool.helix_angle, 1.2)

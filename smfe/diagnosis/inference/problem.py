@@ -147,6 +147,11 @@ class Abilities(Protocol):
         return False
 
     @property
+    def one_scale(self) -> bool:
+        """Whether nothing of the catalogue scales one condition alone: forces of a cut, by its depth and width."""
+        return False
+
+    @property
     def masks(self) -> bool:
         """Whether a cause may hide from what was declared, and that from it: data of few values that all move alike."""
         return False

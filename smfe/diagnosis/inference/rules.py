@@ -126,6 +126,10 @@ class InferenceRules:
     stands_for: float = 0.5  # share of a difference below which another parameter has taken its place
     worth_a_search: float = 0.25  # share of what is material that must be left for another cause to be looked for
     worth_pairs: float = 1.0  # the same for pairs of causes
+    odd_from: int = 4  # conditions from which the scale of one is held against that of the others
+    odd: float = 6.0  # of their deviations (from the median one) beyond which it is another, and of this, at the least:
+    odd_least: float = 0.01
+    odd_matters: float = 2.0  # over what is material
     named_share: float = 0.9  # share of the repeatable error from which causes count as named beside a remainder
     drowned: float = 3.0  # size of noise alone over what is material beyond which a condition does not say what matters
     noise_draws: int = 200  # of noise, for what it does to a size

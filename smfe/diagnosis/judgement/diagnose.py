@@ -36,7 +36,7 @@ from smfe.diagnosis.judgement.hypotheses import Bench
 from smfe.diagnosis.judgement.materiality import EVERYTHING, Worth, predicted_size
 from smfe.diagnosis.judgement.next_experiment import Proposal, rank, revealing
 from smfe.diagnosis.judgement.search import Step, on_bound, search
-from smfe.diagnosis.judgement.verdict import Judgement, cause_size, drifting, excluded, judge
+from smfe.diagnosis.judgement.verdict import Judgement, cause_size, drifting, excluded, judge, odd_one
 from smfe.progress import Progress, silent
 
 MEASURED = frozenset({"sensor_gain", "sensor_axis", "sensor_offset", "time_skew", "cross_talk", "accelerometer_mass"})
@@ -176,7 +176,7 @@ def diagnose(
             bench, at, declared = given, plain, []
         if not objection and (name := _at_limit(bench, at)):
             objection = IMPOSSIBLE.format(name)
-        objection = objection or drifting(bench, at, worth)
+        objection = objection or odd_one(bench, at, worth) or drifting(bench, at, worth)
         finding = _finding(bench, apart, at, steps, declared, worth, objection)
         if unproven and finding.verdict == "consistent":
             return replace(finding, verdict="insufficient_data", reason=_not_borne_out(bench, unproven))

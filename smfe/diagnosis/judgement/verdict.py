@@ -434,6 +434,35 @@ def drifting(bench: Bench, at: Fit, worth: Worth) -> str:
     return f"{of} changes from test to test, by up to {_percent(largest)}, and no cause of the catalogue explains it"
 
 
+def odd_one(bench: Bench, at: Fit, worth: Worth) -> str:
+    """Say which condition asks for another scale than all the others, by what matters; "" for none.
+
+    One cut that was deeper than declared is one of many values that are each known within 5 %: their squares together
+    hardly show it.
+    """
+    model, scales = bench.model, dict[int, float]()
+    if worth.material == 0.0 or not model.family.one_scale:
+        return ""
+    for r, left in at.residual.items():
+        predicted = model.predict(r, at.u)
+        if predicted is not None and model.conditions[r].settings.get("depth") and np.any(predicted):
+            scales[r] = -float(predicted @ left) / float(predicted @ predicted)
+    if len(scales) < RULES.odd_from:
+        return ""
+    middle = float(np.median(list(scales.values())))
+    away = {r: abs(x - middle) for r, x in scales.items()}
+    spread = max(stats.norm.ppf(0.75) ** -1 * float(np.median(list(away.values()))), RULES.odd_least)
+    worst = max(away, key=lambda r: away[r])
+    if away[worst] < max(RULES.odd * spread, RULES.odd_matters * worth.material):
+        return ""
+    more = (1.0 + scales[worst]) / (1.0 + middle) - 1.0
+    off = f"{_percent(abs(more))} {'larger' if more > 0.0 else 'smaller'}"
+    return (
+        f"{model.conditions[worst].name} alone has forces {off} than all the others ask for: its depth, width or feed "
+        "may be another than was given"
+    )
+
+
 def _patterns(model: Model, at: Tangent) -> Iterator[tuple[str, str, Real]]:
     """Yield parameter, setting and columns (N, m) of every change that a fit does not imitate."""
     fit = at.fit

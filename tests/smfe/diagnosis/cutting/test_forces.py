@@ -2,7 +2,9 @@
 
 import functools
 import math
+import re
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -283,6 +285,19 @@ def test_an_effect_of_the_size_that_must_be_found_is_named(effect: str, cause: s
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_worn_insert_is_not_in_the_catalogue(seed: int) -> None:
     assert hidden("dull_tooth", seed)[0].verdict == "unknown"
+
+
+@pytest.mark.slow
+def test_one_cut_that_was_deeper_than_declared_is_said_and_not_called_consistent() -> None:
+    """A third deeper than given: its squares over what is expected of many values would not show it."""
+    cuts = [
+        replace(FEEDS[1], feed_per_tooth=f, speed=n) for f, n in product((0.1e-3, 0.15e-3, 0.2e-3), (1000.0, 1300.0))
+    ]
+    records = measure_cuts(MILL, [replace(cuts[0], depth=1.33 * cuts[0].depth), *cuts[1:]], 3)
+    lied = [{**records[0], "condition": cuts[0]}, *records[1:]]
+    found = [diagnose(family_of(r, 0.05), worth=MATTERS, workers=1) for r in (measure_cuts(MILL, cuts, 3), lied)]
+    assert [f.verdict for f in found] == ["consistent", "unknown"]
+    assert re.match(r"cut 0 alone has forces \d+ % larger than all the others ask for", found[1].reason)
 
 
 def test_a_record_that_is_too_short_is_left_out_and_named_and_the_others_are_judged() -> None:
