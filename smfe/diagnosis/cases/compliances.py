@@ -141,7 +141,7 @@ def _axis_family(
             f"no hammer or actuator measurement has {axis} under a force along {axis} with its "
             f"uncertainty (three hits or more{_too_few(found, (axis,))}); the baseline has nothing to be compared with"
         )
-    return MachineFrfs(baseline, tuple(as_listed(conditions))), tuple(few)
+    return MachineFrfs(baseline, tuple(_in_session(campaign, conditions))), tuple(few)
 
 
 def _modal_family(
@@ -161,7 +161,7 @@ def _modal_family(
             f"no hammer or actuator measurement has an uncertainty (three hits or more{_too_few(found, AXES)}); the "
             "baseline has nothing to be compared with"
         )
-    conditions = as_listed(conditions)
+    conditions = _in_session(campaign, conditions)
     if driven:
         return machine_family(campaign, driven, modes, tuple(conditions))
     spread = {**SPREAD, **modes.spread}
@@ -209,6 +209,12 @@ def _ordered(campaign: Campaign) -> list[tuple[Measurement, float]]:
         ranked = sorted(place, key=lambda i: str(measurements[i].started))
         place |= {i: rank / (len(ranked) - 1) for rank, i in enumerate(ranked)}
     return [(m, place[i]) for i, m in enumerate(measurements) if m.method in ("hammer", "actuator")]
+
+
+def _in_session(campaign: Campaign, conditions: Sequence[Condition]) -> list[Condition]:
+    """Return measurements as listed where no `started` says more: a few of these may contradict the list."""
+    said = any(m.started is not None for m in campaign.measurements)
+    return list(conditions) if said else as_listed(conditions)
 
 
 def as_listed(conditions: Sequence[Condition]) -> list[Condition]:

@@ -74,9 +74,13 @@ def cutting_case(campaign: Campaign) -> Case:
         stated=campaign.coefficient_spread is not None,
     )
     proposals = tuple(replace(p, settings={**p.settings, "minutes": PROPOSALS.cut}) for p in family.proposals)
+    of_file = {name: file for file, names in groups.items() for name in names}
+    suspects = [
+        replace(s, where=f"cutting test, {of_file[s.where]}") if s.where in of_file else s for s in family.suspects
+    ]
     compared = {c.name for c in family.conditions}
     groups = {file: kept for file, names in groups.items() if (kept := tuple(n for n in names if n in compared))}
-    return Case(replace(family, proposals=proposals), groups, _held_out(campaign, groups), (*notes, *family.suspects))
+    return Case(replace(family, proposals=proposals), groups, _held_out(campaign, groups), (*notes, *suspects))
 
 
 def _steady(record: xr.Dataset, test: CuttingTest, cut: SteadyCut) -> xr.Dataset:

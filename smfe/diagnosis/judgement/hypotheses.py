@@ -191,7 +191,7 @@ class Bench:
         thorough = self.far(added) and self.bad(at) and most > explained
         found = [] if begun is None else [begun]
         if (given := self._as_declared(at)) is not None and most > explained:
-            near = self._best_near(given, causes, added, most)
+            near = self._best_near(given, causes, added, most, explained)
             if near.converged and near.chi2 <= explained < at.chi2:
                 return near
             found.append(near)
@@ -255,8 +255,10 @@ class Bench:
                     self.model.weight = weight
         return self._given[at.causes]
 
-    def _best_near(self, there: Tangent, causes: tuple[int, ...], added: Sequence[int], most: float) -> Fit:
-        """Fit from a linearisation elsewhere, by the shapes that do most there."""
+    def _best_near(
+        self, there: Tangent, causes: tuple[int, ...], added: Sequence[int], most: float, explained: float
+    ) -> Fit:
+        """Fit from a linearisation elsewhere, by the shapes that do most there, until one explains what there was."""
         shapes = sorted(
             product(*([s for s in there.signatures if s.cause == k] for k in added)),
             key=lambda s: -combined_gain(self.model, there, s),
@@ -264,7 +266,7 @@ class Bench:
         found = [self._follow(causes, *self._linearised(there.fit, causes, shapes[0] if shapes else ()), most)]
         if self.model.roughness > 0.0 or not self._explains_as_declared(there, added):
             return found[0]
-        own, explained = np.concatenate([self.model.of_cause[k] for k in added]), self.explained(there.fit)
+        own = np.concatenate([self.model.of_cause[k] for k in added])
         for s in shapes[: RULES.shapes_as_declared]:
             # Its own parameters first: beside others a mode that is not yet in its place is given up for them.
             alone = fit(self.model, self.target, causes, self._linearised(there.fit, causes, s)[0], only=own)
