@@ -141,9 +141,14 @@ def diagnose(
                 elif not masked and (as_given := _as_declared_again(bench, at, found, declared, worth)) is not None:
                     at, more = search(bench, begin=as_given.causes)
                     steps, declared = [*(s for s in steps if s.accepted), *more], []
-                elif _at_limit(again, found):
+                elif (limit := _at_limit(again, found)) and (
+                    switched := mounted_otherwise(bench, found, declared, worth)
+                ):
+                    at, more = search(bench, begin=switched.causes)
+                    steps, declared = [*(s for s in steps if s.accepted), *more], []
+                elif limit:
                     # What no value of it explains is a remainder, where causes explain nearly all.
-                    objection = "" if bench.named(at) else IMPOSSIBLE.format(_at_limit(again, found))
+                    objection = "" if bench.named(at) else IMPOSSIBLE.format(limit)
                     declared = []
                 elif _empty(at, found, declared) or _too_small(again, at, found, declared, worth):
                     declared = []
@@ -249,6 +254,28 @@ def _as_declared_again(bench: Bench, at: Fit, found: Fit, released: Sequence[Rel
     count = sum(len(r.values[0]) for r in released)
     needless = again.chi2 - found.chi2 < stats.chi2.ppf(RULES.agreed, count)
     return again if again.converged and needless and not _contradicted(bench, again, worth) else None
+
+
+def mounted_otherwise(bench: Bench, found: Fit, released: Sequence[Released], worth: Worth) -> Fit | None:
+    """Return the fit of a switch with which all is as declared, where a release does the same beyond what is physical.
+
+    Sensors that are turned by 45 degrees about three axes show what two that are exchanged do.
+    """
+    model = bench.model
+    given = {g for r in released for g in r.given}
+    count = sum(len(r.values[0]) for r in released)
+    fits = []
+    for k in (k for k, cause in enumerate(model.causes) if cause.id in given and cause.starts):
+        for values in model.causes[k].starts:
+            u = bench.target.centre.copy()
+            mine = model.of_cause[k]
+            u[mine] = (np.array(values) - model.start[mine]) / model.scale[mine]
+            fits.append(fit(model, bench.target, (k,), u))
+    ended = [f for f in fits if f.converged and not _at_limit(bench, f)]
+    best = min(ended, key=lambda f: f.chi2 + charge(model, f.causes), default=None)
+    if best is None or best.chi2 + charge(model, best.causes) > found.chi2 + RULES.penalty * count:
+        return None
+    return bench.keep(best) if not _contradicted(bench, best, worth) else None
 
 
 def _instead(bench: Bench, at: Fit, found: Fit, released: Sequence[Released], steps: Sequence[Step]) -> Step | None:
@@ -366,8 +393,12 @@ def _too_small(bench: Bench, at: Fit, found: Fit, released: Sequence[Released], 
     """Whether a release, fitted, changes less than matters of what its first order promised.
 
     Neither its values nor all that moves with them: then the simulation is as it was declared, for what it is asked.
+    A sensor that alone is at fault is not: turned by 12 degrees it shows 2 % less along its own axis, which is what
+    counts, and is turned. Beside a joint sensors take up a little of what the joint's model leaves.
     """
     if found.causes != at.causes or worth.material == 0.0:
+        return False
+    if not at.causes and any(g in MEASURED for r in released for g in r.given):
         return False
     size = _size_of(bench, worth)
     moved = max(size(at.u, found.u, g) for r in released for g in r.given)
@@ -604,15 +635,18 @@ def _given(bench: Bench, at: Fit, released: Sequence[Released], worth: Worth) ->
     model = bench.model
     sd = deviations(bench, at, None)
     beyond = {j for r in released for values in r.values for j in values}
-    found = []
+    rows, found = list(bench.target.observed), []
     for place, j in enumerate(at.free):
         p = model.parameters[j]
         if not p.given:
             continue
         declared = at.u.copy()
         declared[j] = 0.0
+        half = RULES.interval * float(sd[place])
         cost = worth.cost(model.values(declared), model.values(at.u)) if p.given not in MEASURED else None
-        value, half = p.start + p.scale * float(at.u[j]), RULES.interval * p.scale * float(sd[place])
+        if cost is None and abs(at.u[j]) > half:
+            cost = worth.of_causes(model, rows, declared, at.u, p.given in MEASURED)
+        value, half = p.start + p.scale * float(at.u[j]), p.scale * half
         value, low, high = ((value + x) * p.shown for x in (0.0, -half, half))
         trusted = p.prior * p.shown
         known = (p.name, p.said, p.given, p.start * p.shown, trusted, value, low, high, p.unit)

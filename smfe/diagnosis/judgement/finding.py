@@ -225,7 +225,9 @@ class GivenParameter:
     high: float
     unit: str
     beyond: bool  # whether the data contradict what was declared, and that matters
-    cost: float | None = None  # relative change of the limit depths between given and found; None where no cut is given
+    cost: float | None = None
+    """Relative change between given and found [1]: of the limit depths, or of what is predicted where no cut is given
+    and where it is of a sensor; None where the data do not tell the one from the other."""
     cost_mm: float | None = None  # the same in millimetres
 
 

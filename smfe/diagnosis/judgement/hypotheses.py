@@ -94,7 +94,7 @@ class Bench:
                 start[mine] += width[mine] * rng.standard_normal(mine.size)
                 again = fit(self.model, self.target, (), start)
                 found = again if again.converged or again.chi2 < found.chi2 else found
-            self._keep(found)
+            self.keep(found)
         return self.fits[()]
 
     def _first(self) -> Real:
@@ -114,13 +114,13 @@ class Bench:
         if causes in self.known:
             again = self._follow(causes, self.known[causes].u, self.known[causes].slope, most)
             if again.converged:
-                return self._keep(again)
+                return self.keep(again)
         found = nearest(self.model, self.target, self._extended(at, causes, added, most), added)
         # What creeps along a curved valley, as of a joint's elements, has explained what it will: the rest of the way
         # widens its intervals.
         if not found.converged and 0.0 < found.promised < RULES.crept * (at.chi2 - found.chi2):
             found = replace(found, converged=True, reason="")
-        return self._keep(found)
+        return self.keep(found)
 
     def known_misfit(self, at: Fit, k: int) -> float:
         """Return what a fit with a cause more left of nearly the same data; infinite where there was none."""
@@ -145,25 +145,25 @@ class Bench:
         slope = {r: x[:, kept] for r, x in at.slope.items()}
         old = self.fits.get(causes)
         most = old.chi2 if old is not None and old.converged and not old.provisional else np.inf
-        return self._keep(fit(self.model, self.target, causes, start, slope, most))
+        return self.keep(fit(self.model, self.target, causes, start, slope, most))
 
     def pursued(self, found: Fit) -> Fit:
         """Follow a fit that did not end from where it stopped."""
         for _ in range(RULES.pursued):
             if found.converged:
                 break
-            found = self._keep(fit(self.model, self.target, found.causes, found.u))
+            found = self.keep(fit(self.model, self.target, found.causes, found.u))
         return found
 
     def refitted(self, near: Fit) -> Fit:
         """Fit a hypothesis once more from where it was fitted with other priors."""
-        return self._keep(fit(self.model, self.target, near.causes, near.u))
+        return self.keep(fit(self.model, self.target, near.causes, near.u))
 
     def confirmed(self, found: Fit) -> Fit:
         """Fit a hypothesis with its own slopes."""
-        return self._keep(fit(self.model, self.target, found.causes, found.u)) if found.provisional else found
+        return self.keep(fit(self.model, self.target, found.causes, found.u)) if found.provisional else found
 
-    def _keep(self, found: Fit) -> Fit:
+    def keep(self, found: Fit) -> Fit:
         """Keep the best fit of a hypothesis: what has converged goes first, then what is better than is known."""
         old = self.fits.get(found.causes)
         better = old is None or old.provisional or (found.converged and not old.converged)

@@ -42,7 +42,9 @@ ABOUT = ("fault", "given", "verdict", "cause", "immaterial", "parameter", "do", 
 
 _MOST_POWERS = 5
 _MOST_GIVEN = 6  # of what was declared rightly
+_MOST_BETTER = 3  # of what the measurements know better
 _REVEALED = 2
+_AS_WELL = 0.5  # gain [dB] below which nobody sees it
 _MOVED = 0.005  # relative change of the best speed that is said
 _TELLING, _NORMAL = 0.9, 1.96  # an interval by how much narrower than the prior says something
 _FAR = 4.0  # spreads of what was declared by which nobody moves it without a reason
@@ -131,6 +133,22 @@ def _given(finding: Finding, setting: Setting) -> Iterator[str]:
                 value, worth = with_interval(p.value, p.low, p.high, p.unit), worth if p.value == g.found else ""
             worth += ", if it is this one"
         yield f"{_capital(given_words(g))}: given {given}, found {value}{worth}."
+    # What is within its tolerance is not wrong, and yet a better value may be known.
+    better = [g for g in told if not (unsure or g.low <= g.given <= g.high) and _matters(g, finding.material)]
+    if better:
+        better.sort(key=lambda g: -abs(g.cost or 0.0))
+        costs = [_worth(g).removeprefix("; ").replace(" (", ", ").rstrip(")") for g in better[:_MOST_BETTER]]
+        said = [
+            f"{given_words(g)} {with_interval(g.found, g.low, g.high, g.unit)} in place of {rounded(g.given)} ({what})"
+            for g, what in zip(better, costs, strict=False)
+        ]
+        more = len(better) - len(said)
+        also = [count_words(more, "more parameter")] if more else []
+        yield (
+            f"Within tolerance, but worth {percent(finding.material)} % or more, so take what was found: "
+            f"{listed([*said, *also])}."
+        )
+        told = [g for g in told if g not in better]
     shown = sorted(told, key=lambda g: -abs(g.cost or 0.0))[:_MOST_GIVEN]
     if shown:
         said = [
@@ -147,6 +165,10 @@ def _given(finding: Finding, setting: Setting) -> Iterator[str]:
 def _is_told(g: GivenParameter) -> bool:
     """Whether the data narrow down what was declared to less than it was trusted."""
     return g.high - g.low < _TELLING * 2.0 * _NORMAL * g.spread
+
+
+def _matters(g: GivenParameter, material: float) -> bool:
+    return g.cost is not None and 0.0 < material <= g.cost < math.inf
 
 
 def given_words(g: GivenParameter) -> str:
@@ -321,6 +343,8 @@ def _causes(finding: Finding, setting: Setting) -> Iterator[str]:
 
 def _worth_of(gain_db: float, where: str) -> str:
     """Return what a cause is worth: by how much the error grows without it."""
+    if gain_db < _AS_WELL:
+        return f"a fit without it does as well on {where} left out of the fit, but not with what was declared"
     times = rounded(10.0 ** (gain_db / 20.0), 2)
     size = f"{times} times as large ({gain_db:.0f} dB)"
     return f"without it the error that repeats is {size}, on {where} left out of the fit"

@@ -1,6 +1,7 @@
 """The modal baseline: closed forms against matrices of a machine, hidden effects named, and only those."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -39,7 +40,8 @@ from smfe.diagnosis.inference.fit import Fit, Target
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.inference.rules import RULES
-from smfe.diagnosis.judgement.diagnose import diagnose
+from smfe.diagnosis.judgement.declared import Released
+from smfe.diagnosis.judgement.diagnose import diagnose, mounted_otherwise
 from smfe.diagnosis.judgement.hypotheses import Bench
 from smfe.diagnosis.judgement.materiality import Worth
 from smfe.progress import silent
@@ -381,6 +383,19 @@ class TestFamily:
         exchanged = with_cause(bench, "sensor_axis/exchanged_xy")[1]
         assert exchanged.chi2 > 5.0 * found.chi2
 
+    def test_exchanged_axes_stand_for_a_sensor_that_is_turned_further_than_any(self) -> None:
+        """Hits along x and y alone do not tell both apart by what is left."""
+        exchanged = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+        bench = tapped([0, 1, 2], exchanged, THREE, [e for e in ALL if e[1] != "z"])
+        turned = [Released(("sensor_axis",), 30.0, ({0: 45.0, 1: 45.0},), ({0: 1.0, 1: 1.0},))]
+        as_well = replace(bench.null(), chi2=bench.values)
+        found = mounted_otherwise(bench, as_well, turned, Worth(0.05))
+        assert found is not None
+        assert [bench.model.causes[k].variant for k in found.causes] == ["exchanged_xy"]
+        assert found.chi2 < 1.1 * bench.values
+        assert mounted_otherwise(bench, replace(as_well, chi2=0.8 * bench.values), turned, Worth(0.05)) is None
+        assert mounted_otherwise(bench, as_well, [replace(turned[0], given=("modal_scale",))], Worth(0.05)) is None
+
     @pytest.mark.slow
     def test_a_design_without_contrast_does_not_separate_two_causes(self) -> None:
         """To first order, before any data."""
@@ -390,21 +405,35 @@ class TestFamily:
         assert not any(both <= set(g) for g in after)
 
 
-def tapped(declared: list[int], mounting: np.ndarray) -> Bench:
-    """Three sets of hits on five modes, seen through a mounting; modes are declared half a per cent off, or not."""
-    natural = np.array([42.0, 58.5, 83.0, 121.0, 176.0])
-    damping, stiffness = np.array([0.022, 0.03, 0.018, 0.025, 0.02]), np.array([38e6, 52e6, 60e6, 85e6, 150e6])
-    shape = np.array([[0.95, 0.2, 0.1], [-0.25, 0.92, 0.2], [0.6, -0.55, 0.35], [0.3, 0.75, -0.5], [0.5, 0.3, 0.8]])
+FIVE = ModalModel(
+    np.array([42.0, 58.5, 83.0, 121.0, 176.0]),
+    np.array([0.022, 0.03, 0.018, 0.025, 0.02]),
+    np.array([38e6, 52e6, 60e6, 85e6, 150e6]),
+    np.array([[0.95, 0.2, 0.1], [-0.25, 0.92, 0.2], [0.6, -0.55, 0.35], [0.3, 0.75, -0.5], [0.5, 0.3, 0.8]]),
+)
+THREE = ModalModel(
+    np.array([41.0, 63.0, 118.0]),
+    np.array([0.03, 0.025, 0.03]),
+    np.array([28e6, 35e6, 60e6]),
+    np.array([[0.99, 0.15, 0.05], [-0.1, 0.98, 0.2], [0.74, 0.64, 0.21]]),
+)
+
+
+def tapped(
+    declared: list[int], mounting: np.ndarray, true: ModalModel = FIVE, entries: Sequence[tuple[str, str]] = ALL
+) -> Bench:
+    """Three sets of hits, seen through a mounting; modes are declared half a per cent off, or not."""
     lines, rng = np.linspace(21.0, 350.0, 117), np.random.default_rng(3)
-    phi = (mounting @ ModalModel(natural, damping, stiffness, shape).matrix(lines)).reshape(117, 9)
+    phi = (mounting @ true.matrix(lines)).reshape(117, 9)[:, [ALL.index(e) for e in entries]]
     std = 0.01 * np.sqrt(np.mean(np.abs(phi) ** 2, axis=0)) * np.ones((117, 1))
-    hit = Excited(lines, ALL, std, "hammer", 1.0)
-    noise = rng.standard_normal((2, 3, 117, 9)) * std / math.sqrt(2.0)
+    hit = Excited(lines, tuple(entries), std, "hammer", 1.0)
+    noise = rng.standard_normal((2, 3, *phi.shape)) * std / math.sqrt(2.0)
     seen = [hit.whitened(phi + a + 1j * b) for a, b in zip(*noise, strict=True)]
     conditions = tuple(Condition(f"hits {n}", {}, y, "", hit) for n, y in enumerate(seen))
-    off = natural * (1.0 + 0.005 * np.array([1.0, -1.0, 1.0, 1.0, -1.0]))
-    model = ModalModel(off[declared], damping[declared], stiffness[declared], shape[declared])
-    fam = ModalFrfs(model, conditions).with_errors()
+    off = np.array(true.frequency) * (1.0 + 0.005 * np.array([1.0, -1.0, 1.0, 1.0, -1.0]))[: len(true.frequency)]
+    damping, stiffness, shape = (np.array(x)[declared] for x in (true.damping, true.stiffness, true.direction))
+    said = ModalModel(off[declared], damping, stiffness, shape)
+    fam = ModalFrfs(said, conditions, stated=("frequency", "damping", "stiffness")).with_errors()
     one = Model(fam, fam.conditions)
     target = Target({r: np.asarray(c.observed) for r, c in enumerate(fam.conditions)}, one.null())
     return Bench(one, target, 0, silent)
@@ -420,8 +449,7 @@ def test_declared_directions_are_known_to_a_degree_or_two(degrees: float, verdic
     length = np.linalg.norm(true, axis=1)[:, None]
     off = true / length + math.tan(math.radians(degrees)) * np.clip(rng.standard_normal(true.shape), -2.0, 2.0)
     off *= length / np.linalg.norm(off, axis=1)[:, None]
-    stated = ("frequency", "damping", "stiffness")
-    found = diagnose(replace(fam, model=replace(fam.model, direction=off), stated=stated), 0, worth=Worth(0.05))
+    found = diagnose(replace(fam, model=replace(fam.model, direction=off)), 0, worth=Worth(0.05))
     shown = found.immaterial if verdict == "consistent" else found.causes
     assert (found.verdict, [c.id for c in shown]) == (verdict, ["cross_axis_coupling"])
     assert shown[0].size > 0.05

@@ -13,7 +13,9 @@ from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parame
 from smfe.diagnosis.judgement import diagnose as judgement
 from smfe.diagnosis.judgement.declared import Declared, Released, contradicted, masking
 from smfe.diagnosis.judgement.diagnose import diagnose
+from smfe.diagnosis.judgement.hypotheses import Bench
 from smfe.diagnosis.judgement.materiality import Worth, predicted_size
+from smfe.progress import silent
 
 N = 40
 X = np.linspace(0.0, 1.0, N)
@@ -844,3 +846,25 @@ def test_a_diagnosis_is_the_same_where_divide_and_conquer_gives_up(monkeypatch):
     assert (found.verdict, ids(found)) == (expected.verdict, ids(expected))
     for one, other in zip(found.causes, expected.causes, strict=True):
         assert one.parameters[0].high == pytest.approx(other.parameters[0].high, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("true", "given", "small"),
+    [
+        ({"coefficients": 0.02}, "force_coefficients", True),
+        ({"coefficients": 0.2}, "force_coefficients", False),
+        # A sensor that alone is at fault is named whatever it changes along its own axis.
+        ({"gain": 0.02}, "sensor_gain", False),
+    ],
+)
+def test_what_a_release_changes_less_than_matters_is_as_declared(true, given, small):
+    family = measured(true, reference=True)
+    target = Target({n: c.observed for n, c in enumerate(family.conditions)}, np.zeros(3))
+    benches = [
+        Bench(Model(family, family.conditions, released=names), target, 0, silent) for names in ((), tuple(true))
+    ]
+    at, found = (b.null() for b in benches)
+    (j,) = (family.nuisances.index(p) for p in family.nuisances if p.given == given)
+    released = [Released((given,), 30.0, ({j: float(found.u[j])},), ({j: 0.1},))]
+    assert judgement._too_small(benches[1], at, found, released, WORTH) is small
+    assert not judgement._too_small(benches[1], at, found, released, replace(WORTH, material=0.0))

@@ -277,6 +277,17 @@ def test_what_was_given_comes_first_with_what_the_data_say_and_its_millimetres()
         "(7900 to 8100), but what is not understood may be the reason.",
         "As declared: cutting coefficient Krc 600 (found 612 N/mm², 580 to 644).",
     ]
+    # Within its tolerance nothing is wrong, and yet the measurements may know better what matters.
+    near = replace(MASS, found=104.0, low=103.0, high=105.0, cost=0.07)
+    consistent = replace(found, verdict="consistent", causes=(), given=(KRC, near), material=0.05)
+    assert say("given", consistent) == [
+        "Is what you gave right? As far as these measurements tell, yes.",
+        "Within tolerance, but worth 5.0 % or more, so take what was found: moving mass 104.0 kg (103.0 to 105.0) in "
+        "place of 95.0 (worth 7.0 %).",
+        "As declared: cutting coefficient Krc 600 (found 612 N/mm², 580 to 644).",
+    ]
+    for alike in (replace(near, low=94.0), replace(near, cost=0.04), replace(near, cost=None)):
+        assert not any("take" in line for line in say("given", replace(consistent, given=(KRC, alike))))
     assert say("given", replace(found, given=(MASS,))) == [
         "Is what you gave right? These measurements say nothing of it."
     ]
