@@ -11,7 +11,7 @@ import xarray as xr
 from process.errors import InputError
 from process.units import implausible
 from smfe.campaign import Campaign, CuttingTest
-from smfe.diagnosis.cases.known import known_of, known_values
+from smfe.diagnosis.cases.known import known_of, known_values, reaching
 from smfe.diagnosis.checks.suspect import Suspect
 from smfe.diagnosis.cutting.limits import CuttingLimits
 from smfe.diagnosis.drive.record import DriveRecordFamily
@@ -86,7 +86,7 @@ def with_consequences(
     are judged here. `compliances` are those of measurements that lobes are asked of, `faults` those of the data.
     """
     known = known_of(campaign)
-    before = {**given_values(family), **known_values(family, known)} if known else None
+    before = {**given_values(family), **known_values(reaching(family, campaign), known)} if known else None
     finding = _plausible(replace(finding, baseline=tuple(_baseline(family, finding))))
     finding = with_curves(family, finding)
     depths, why = depths_of(campaign, family, compliances)

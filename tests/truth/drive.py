@@ -21,13 +21,14 @@ STEP = 1e-3
 class Axis:
     """What is true.
 
-    friction: Coulomb and static force [N], the Stribeck speed [m/s]; thinning: force [N] that builds up with speed over
-    `thinning_speed`. asymmetry: `d |v|` [N s/m]. slope: force along the stroke [N/m]. ripple: force [N], once per lead
-    [m]. delay: of the force beyond its hold [s]. drift: relative change of the viscous friction over the record.
-    command: height of pulses [N] that the drive gets besides its controller. push: a force on the axis [N] for 0.3 s;
-    pushes: one for 0.2 s, 16 times at random. limit: the drive gives no more [N], whatever the command. hum: amplitude
-    of a line in the logged force [N]. gain_error: relative, of the logged force. noise: rms of the disturbing force [N]
-    and its pole a sample; wander: rms of another that is slow, with its corner [Hz]. one_way: first all moves forth.
+    friction: Coulomb and static force [N], speed [m/s] and exponent of the Stribeck curve; thinning: force [N] that
+    builds up with speed over `thinning_speed`. asymmetry: `d |v|` [N s/m]. slope: force along the stroke [N/m].
+    ripple: force [N], once per lead [m]. delay: of the force beyond its hold [s]. drift: relative change of the
+    viscous friction over the record. command: height of pulses [N] that the drive gets besides its controller.
+    push: a force on the axis [N] for 0.3 s; pushes: one for 0.2 s, 16 times at random. limit: the drive gives no
+    more [N], whatever the command. hum: amplitude of a line in the logged force [N]. gain_error: relative, of the
+    logged force. noise: rms of the disturbing force [N] and its pole a sample; wander: rms of another that is slow,
+    with its corner [Hz]. one_way: first all moves forth.
     """
 
     mass: float = 95.0
@@ -36,6 +37,7 @@ class Axis:
     coulomb: float = 0.0
     static: float = 0.0
     stribeck_speed: float = 0.02
+    stribeck_exponent: float = 1.0
     thinning: float = 0.0
     thinning_speed: float = 0.015
     asymmetry: float = 0.0
@@ -116,7 +118,7 @@ def pulse_train(samples: int) -> np.ndarray:
 @njit(cache=True, nogil=True)
 def _slope(x, v, z, force, warm, p):
     speed = abs(v)
-    level = p[0] + (p[1] - p[0]) * np.exp(-speed / p[2]) + p[9] * (1.0 - np.exp(-speed / p[10]))
+    level = p[0] + (p[1] - p[0]) * np.exp(-((speed / p[2]) ** p[13])) + p[9] * (1.0 - np.exp(-speed / p[10]))
     if level > 0.0:
         stiff = p[12] / 8e-6
         rate = v - stiff * speed * z / level
@@ -192,6 +194,7 @@ def simulate(axis: Axis, seed: int) -> dict[str, np.ndarray]:
             axis.thinning_speed,
             axis.slope,
             max(axis.coulomb, axis.thinning),
+            axis.stribeck_exponent,
         ]
     )
     added = axis.command * pulse_train(n)

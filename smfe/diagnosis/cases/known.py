@@ -15,6 +15,7 @@ from typing import Any, cast
 from process.errors import InputError
 from process.friction.laws import Andersson, Coulomb, CoulombViscous
 from smfe.campaign import Campaign, RigidDrive
+from smfe.diagnosis.drive.terms import EXPONENT
 from smfe.diagnosis.inference.problem import Cause, Condition, Family, Parameter
 from smfe.records.formats.channels import did_you_mean, listed
 
@@ -29,6 +30,10 @@ LEVEL = "guideway_friction"
 """Id of the cause whose size is declared as the friction of a control is: what the data contradict of it is named."""
 
 
+STRIBECK = "low_speed_friction/stribeck"
+"""Key of the cause that a Stribeck curve is."""
+
+
 def known_of(campaign: Campaign) -> Known:
     """Return what the baseline of a campaign holds besides its family: ``known``, and the friction of drive records."""
     law = _friction(campaign)
@@ -36,9 +41,10 @@ def known_of(campaign: Campaign) -> Known:
     if law is not None and law.coulomb > 0.0:
         found[f"{LEVEL}/coulomb"] = {"coulomb.force": f"{law.coulomb:.9g} N"}
     if isinstance(law, Andersson) and law.static > law.coulomb:
-        found["low_speed_friction/stribeck"] = {
+        found[STRIBECK] = {
             "stribeck.boost": f"{law.static - law.coulomb:.9g} N",
             "stribeck.speed": f"{1e3 * law.stribeck_speed:.9g} mm/s",
+            EXPONENT.name: f"{law.delta:.9g} 1",
         }
     return {**found, **campaign.known}
 
@@ -52,16 +58,33 @@ def with_known(family: Family, campaign: Campaign) -> Family:
         As `settled`.
     """
     law = _friction(campaign)
-    if not isinstance(law, Andersson) or "low_speed_friction/stribeck" in campaign.known:
+    if not isinstance(law, Andersson) or STRIBECK in campaign.known:
         return settled(family, known_of(campaign))
-    speed = next((p for c in family.causes for p in c.parameters if p.name == "stribeck.speed"), None)
-    if law.static > law.coulomb and speed is not None and not speed.low <= law.stribeck_speed <= speed.high:
-        raise InputError(
-            f"baseline.friction: stribeck_speed of {1e3 * law.stribeck_speed:g} mm/s; moves of these records can tell "
-            f"{1e3 * speed.low:g} to {1e3 * speed.high:g} mm/s: give one of these, or law = 'coulomb_viscous'"
-        )
     # The rise is a difference of two forces, each known within its share.
-    return settled(family, known_of(campaign), {"stribeck.boost": SPREAD * math.hypot(law.static, law.coulomb)})
+    within = {"stribeck.boost": SPREAD * math.hypot(law.static, law.coulomb)}
+    return settled(reaching(family, campaign), known_of(campaign), within)
+
+
+def reaching(family: Family, campaign: Campaign) -> Family:
+    """Return a family in which a Stribeck curve may be what was declared, whatever its exponent.
+
+    Moves need not tell the speed of one that is known.
+    """
+    law = _friction(campaign)
+    if not isinstance(law, Andersson):
+        return family
+    given = {"stribeck.speed": law.stribeck_speed, EXPONENT.name: law.delta}
+
+    def curve(cause: Cause) -> Cause:
+        if cause.key != STRIBECK:
+            return cause
+        parameters = (
+            replace(p, low=min(p.low, 0.5 * x), high=max(p.high, 2.0 * x)) if (x := given.get(p.name)) else p
+            for p in (*cause.parameters, EXPONENT)
+        )
+        return replace(cause, parameters=tuple(parameters))
+
+    return cast(Family, Settled(family, family.nuisances, tuple(map(curve, family.causes))))
 
 
 def _friction(campaign: Campaign) -> Coulomb | CoulombViscous | Andersson | None:

@@ -104,9 +104,9 @@ class Motion:
         """Return the direction of sliding of bristles of a length [m] and a damping [s] (`bristles.Path`)."""
         return self.path.direction(slide, damping)[self.first : self.first + self.time.size]
 
-    def built(self, speed: float, slide: float, damping: float = 0.0) -> Real:
+    def built(self, speed: float, slide: float, damping: float = 0.0, exponent: float = 1.0) -> Real:
         """Return what bristles make of a direction that builds up over a speed [m/s] (`bristles.Path`)."""
-        return self.path.built(speed, slide, damping)[self.first : self.first + self.time.size]
+        return self.path.built(speed, slide, damping, exponent)[self.first : self.first + self.time.size]
 
     @property
     def step(self) -> float:
@@ -260,9 +260,9 @@ class Path:
         self._turns = reversals(position, velocity, least)
         self._kept: dict[tuple[float, ...], Real] = {}
 
-    def built(self, speed: float, slide: float, damping: float = 0.0) -> Real:
-        """Return what bristles make of ``[1 - exp(-|v|/speed)] sign v`` [1], shape (n,); parameters as `direction`."""
-        key = (slide, damping, speed)
+    def built(self, speed: float, slide: float, damping: float = 0.0, exponent: float = 1.0) -> Real:
+        """Return what bristles make of ``[1 - exp(-(|v|/speed)^exponent)] sign v`` [1], (n,); as `direction`."""
+        key = (slide, damping, speed, exponent)
         found = self._kept.get(key)
         if found is None:
             ahead, way = self._ahead
@@ -270,8 +270,9 @@ class Path:
             kept = np.exp(-ahead / slide)
             # z[k+1] = kept[k] z[k] + (1 - kept[k]) target[k], a bidiagonal system.
             bands = np.stack([np.ones(way.size), np.append(-kept, 0.0)])
-            begin = -way[0] * np.expm1(-abs(self.velocity[0]) / speed)
-            z = solve_banded((1, 0), bands, np.append(begin, (1.0 - kept) * -np.expm1(-middle / speed) * way[1:]))
+            begin = -way[0] * np.expm1(-((abs(self.velocity[0]) / speed) ** exponent))
+            target = -np.expm1(-((middle / speed) ** exponent)) * way[1:]
+            z = solve_banded((1, 0), bands, np.append(begin, (1.0 - kept) * target))
             found = self._keep(key, z + damping * np.gradient(z, self.step) if damping else z)
         return found
 

@@ -84,7 +84,7 @@ class Track:
 
     motion: Motion = field(repr=False)
     drive: Real = field(repr=False)
-    kept: dict[tuple[float, ...], Real] = field(default_factory=dict, repr=False, compare=False)
+    kept: dict[tuple[object, ...], Real] = field(default_factory=dict, repr=False, compare=False)
 
 
 @dataclass(frozen=True)
@@ -382,7 +382,7 @@ class DriveRecordFamily(Abilities):
         """Return the low-passed drive force of a move [N] as part of its record, of which the last few are kept."""
         if data.track is None:
             return self.force(data, values)
-        kept, key = data.track.kept, (id(self.model), *(values[n] for n in self.model.names))
+        kept, key = data.track.kept, (id(self.model), *values.items())
         if key not in kept:
             if len(kept) >= RULES.kept_forces:
                 kept.clear()

@@ -183,6 +183,9 @@ def diagnose(
             objection = IMPOSSIBLE.format(name)
         objection = objection or odd_one(bench, at, worth) or drifting(bench, at, worth)
         finding = _finding(bench, apart, at, steps, declared, worth, objection)
+        if finding.verdict == "named" and declared and not at.causes:
+            rivals = _stand_ins(given, at, declared, worth)
+            finding = _open_between(finding, bench, at, given, rivals, worth) if rivals else finding
         if unproven and finding.verdict == "consistent":
             return replace(finding, verdict="insufficient_data", reason=_not_borne_out(bench, unproven))
         return finding
@@ -279,7 +282,7 @@ def mounted_otherwise(bench: Bench, found: Fit, released: Sequence[Released], wo
 
 
 def _instead(bench: Bench, at: Fit, found: Fit, released: Sequence[Released], steps: Sequence[Step]) -> Step | None:
-    """Return the step that does what a release does, with fewer parameters; None where none does.
+    """Return the step that does what a release does, with fewer parameters or far better; None where none does.
 
     What acts in all conditions alike is hardly tested by leaving some of them out, be it a cause or a declared value.
     """
@@ -287,14 +290,50 @@ def _instead(bench: Bench, at: Fit, found: Fit, released: Sequence[Released], st
     most = found.chi2 + RULES.penalty * count + charge(bench.model, found.causes)
     refused = [s for s in steps if not s.accepted and set(at.causes) < set(s.causes) and s.ratio > s.threshold]
     known = parameters_of(bench.model, at.causes)
-    refused = [s for s in refused if parameters_of(bench.model, s.causes) - known < count]
     fits = {s.causes: bench.fits[s.causes] for s in refused}
     # Held-out conditions speak against a cause if its gain is below zero by more than it scatters.
     able = [s for s in refused if s.gain is not None and (2.0 * s.gain.db > s.gain.low or alike(at, fits[s.causes]))]
     able = [s for s in able if fits[s.causes].converged and not on_bound(bench.model, fits[s.causes], s.causes)]
     merit = {s.causes: fits[s.causes].chi2 + charge(bench.model, s.causes) for s in able}
-    best = min(able, key=lambda s: merit[s.causes], default=None)
-    return None if best is None or merit[best.causes] >= most else best
+    fewer = {s.causes: parameters_of(bench.model, s.causes) - known < count for s in able}
+    able = [s for s in able if merit[s.causes] < most - (0.0 if fewer[s.causes] else RULES.margin)]
+    return min(able, key=lambda s: merit[s.causes], default=None)
+
+
+def _stand_ins(given: Bench, at: Fit, released: Sequence[Released], worth: Worth) -> list[Fit]:
+    """Return the fits with a cause, all else as declared, that the data do not separate from a release alone.
+
+    Limits of depth tell that all are lower by a third, and not whether coefficients, a coupling or a mode are why.
+    """
+    count = sum(len(r.values[0]) for r in released)
+    most = at.chi2 + RULES.penalty * count + RULES.margin
+    model, alone = given.model, [f for causes, f in given.fits.items() if len(causes) == 1 and f.converged]
+    near = [f for f in alone if f.chi2 + charge(model, f.causes) < most and not on_bound(model, f, f.causes)]
+    found = [f for f in near if not _contradicted(given, f, worth) and not _at_limit(given, f)]
+    return sorted(found, key=lambda f: f.chi2 + charge(model, f.causes))
+
+
+def _open_between(
+    finding: Finding, bench: Bench, at: Fit, given: Bench, rivals: Sequence[Fit], worth: Worth
+) -> Finding:
+    """Return a finding of what was declared wrongly that is open between this and causes, with what separates them."""
+    model, first = bench.model, finding.causes[0]
+    rows = [r for r, c in enumerate(model.conditions) if c.observed is None]
+    found = [
+        _found(given, f, k, Judgement("named", "", misfit=given.misfit(f)), worth) for f in rivals for k in f.causes
+    ]
+    contenders = [at, *rivals[: RULES.contenders - 1]]
+    titles = " and ".join(c.title for c in (first, *found[: RULES.contenders - 1]))
+    models = [model, *[given.model] * (len(contenders) - 1)]
+    freed = [j for j in model.nuisance if model.weight[j] != given.model.weight[j]]
+    ranked = rank(model, bench.target, contenders, rows, titles, models, freed)
+    return replace(
+        finding,
+        verdict="ambiguous",
+        reason=f"the data do not tell {first.title} from {found[0].title}",
+        alternatives=((first, *found),),
+        next_experiment=ranked[0] if ranked and ranked[0].probability > 0.5 else None,
+    )
 
 
 def _told(bench: Bench, at: Fit, steps: list[Step], worth: Worth) -> tuple[Fit, list[Step]]:

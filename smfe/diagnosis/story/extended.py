@@ -501,7 +501,9 @@ def _drive_friction(values: Values) -> dict[str, Any]:
     forth, back = (
         Side(force, force + boost, speed, max(values["viscous"] + sign * apart, 0.0)) for sign in (1.0, -1.0)
     )
-    return _friction((forth, back))
+    exponent = values.get("stribeck.exponent", 1.0)
+    table = _friction((forth, back))
+    return table if boost == 0.0 or exponent == 1.0 else {**table, "delta": float(f"{exponent:.6g}")}
 
 
 def _later(controller: Mapping[str, Any], extra: float) -> dict[str, Any]:

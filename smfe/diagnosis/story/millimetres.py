@@ -516,9 +516,10 @@ def friction_found(values: Values) -> Andersson:
     """Return the friction that a drive record found, as a Stribeck curve of each direction."""
     force, boost = values.get("coulomb.force", 0.0), values.get("stribeck.boost", 0.0)
     speed = values.get("stribeck.speed", 0.02)
-    apart = values.get("asymmetry.viscous", 0.0)
+    apart, exponent = values.get("asymmetry.viscous", 0.0), values.get("stribeck.exponent", 1.0)
     forth, back = (
-        Andersson(force, force + boost, speed, max(values["viscous"] + side * apart, 0.0), _STEEP) for side in (1, -1)
+        Andersson(force, force + boost, speed, max(values["viscous"] + side * apart, 0.0), _STEEP, exponent)
+        for side in (1, -1)
     )
     return forth if apart == 0.0 else replace(forth, negative=back)
 

@@ -119,6 +119,7 @@ PARAMETERS = {
     "coulomb.damping": "damping of the contact",
     "stribeck.boost": "further friction near rest",
     "stribeck.speed": "speed over which it vanishes",
+    "stribeck.exponent": "exponent with which it vanishes",
     "shear.force": "friction that builds up with the speed",
     "shear.speed": "speed over which it builds up",
     "position.offset": "change of the force along the stroke",

@@ -46,6 +46,9 @@ OUTSIDE = {
 }
 """What it does not know."""
 
+TIMED = 0.5
+"""Share of the campaigns that say when each measurement was made; of the others the list says it."""
+
 PAIRS = (("friction", "velocity_gain"), ("friction", "delay"), ("friction", "micro_slip"), ("posture", "gain"))
 
 DRY = ("friction_level", "asymmetry")
@@ -425,6 +428,7 @@ def _write(
     rng: np.random.Generator,
     spared: Sequence[str],
 ) -> None:
+    timed = bool(rng.spawn(1)[0].random() < TIMED)
     out = bench.folder(path, rng, "axis", (".mat", ".h5"))
     unit = str(rng.choice(["m/s^2", "g"]))
     out.say("[channels]", 'time = { column = "t", unit = "s" }', 'force_x = { column = "F", unit = "N" }')
@@ -471,7 +475,8 @@ def _write(
         )
         out.say("[[measurement]]", f'name = "{visit.name}"', 'method = "hammer"', f'controller = "{visit.controller}"')
         out.say(f'feed = {{ x = "{visit.feed:g} mm/min" }}', f'position = "{1e3 * visit.place:.4g} mm"')
-        out.say(f"started = 2024-05-14T{8 + number // 2:02d}:{30 * (number % 2):02d}:00")
+        if timed:
+            out.say(f"started = 2024-05-14T{8 + number // 2:02d}:{30 * (number % 2):02d}:00")
         out.say(
             *(["held_out = true"] if visit.name == held else []), f'records = [{{ file = "{file}", excitation = "x" }}]'
         )

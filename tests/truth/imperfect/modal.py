@@ -64,6 +64,12 @@ OF_A_CHANNEL = ("gain", "turned")
 KNOWN_FOR_FORCE = 0.03
 """Uncertainty of the stiffnesses where the force gain is wrong: beside 10 % of each mode 13 % are 1.9 sigma."""
 
+TIMED = 0.5
+"""Share of the campaigns that say when each measurement was made; of the others the list says it."""
+
+LARGE, LARGE_MODE = 0.4, (0.2, 0.5)
+"""Share of the modes that are missing because nobody looked, and their size over the largest compliance."""
+
 PAIRS = (("posture", "drift"), ("posture", "gain"), ("micro_slip", "missing_mode"), ("skew", "posture"))
 
 
@@ -537,6 +543,8 @@ def _first(ram: Ram, first: int) -> Ram:
 def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0) -> Answer:
     """Write a campaign and return what is hidden in it."""
     rng = np.random.default_rng([seed, 101])
+    more = np.random.default_rng([seed, 104])
+    timed, large = bool(more.random() < TIMED), bool(more.random() < LARGE)
     shop = drawn_shop(rng)
     plan = states(shop, rng, "drift" in hidden)
     cut = (float(rng.uniform(700e6, 2300e6)), 0.0, int(rng.integers(2, 7)))
@@ -570,9 +578,12 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
         else:
             size, cost = bench.raised(what.size * (signs[name] if what.signed else 1.0), price, what.switch)
             size, cost = size * scale, price(size * scale)
+        if name == "missing_mode" and large and scale == 1.0:
+            size = max(size, float(more.uniform(*LARGE_MODE)))
+            cost = price(size)
         sizes[name] = size
         shop = planted(now, name, size, np.random.default_rng(draw))
-    _write(path, shop, healthy, plan, cut, by_model, uncertain, errors, rng)
+    _write(path, shop, healthy, plan, cut, by_model, uncertain, errors, timed, rng)
     ids = {name: (EFFECTS | OUTSIDE)[name].causes for name in hidden}
     drawn = {"baseline": "model" if by_model else "hammer_idle", "snr": shop.tools.snr, "rate": shop.tools.rate}
     return Answer("modal", seed, sizes, ids, cost, {}, drawn)
@@ -587,6 +598,7 @@ def _write(
     by_model: bool,
     uncertain: dict[str, float],
     errors: Real,
+    timed: bool,
     rng: np.random.Generator,
 ) -> None:
     out = bench.folder(path, rng, "ram", (".mat", ".h5"))
@@ -634,10 +646,9 @@ def _write(
             file = out.record(f"{name}_{AXES[axis]}", columns)
             files.append(f'    {{ file = "{file}", excitation = "{AXES[axis]}" }},')
         out.say("[[measurement]]", f'name = "{name}"', 'method = "hammer"')
-        out.say(
-            f'position = "{1e3 * state.place:.4g} mm"',
-            f"started = 2024-05-14T{8 + number // 2:02d}:{30 * (number % 2):02d}:00",
-        )
+        out.say(f'position = "{1e3 * state.place:.4g} mm"')
+        if timed:
+            out.say(f"started = 2024-05-14T{8 + number // 2:02d}:{30 * (number % 2):02d}:00")
         if state.added:
             out.say(f'added_mass = "{state.added:g} kg"')
         if name == held:

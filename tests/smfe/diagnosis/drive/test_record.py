@@ -3,6 +3,7 @@
 import math
 import pathlib
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -222,9 +223,9 @@ def test_admissible_friction_never_drives_the_axis(full: DriveRecordFamily) -> N
         if term.cause.id == "low_speed_friction":
             low, (speed_low, speed_high) = term.cause.parameters[0].low, (1e-3, 0.1)
             assert low == 0.0
-            for speed in (speed_low, speed_high):
+            for speed, exponent in product((speed_low, speed_high), (0.5, 1.0, 3.0)):
                 names = [p.name for p in term.cause.parameters]
-                values = dict(zip(names, (5.0, speed), strict=True))
+                values = dict(zip(names, (5.0, speed), strict=True)) | {"stribeck.exponent": exponent}
                 assert np.all(v * term.force(m, values | {"coulomb.force": 0.0}) >= 0.0)
                 bristles = {"coulomb.force": 1.0, "coulomb.slide": 2e-6, "coulomb.damping": 0.0}
                 power = v * term.force(m, values | bristles)
