@@ -72,7 +72,8 @@ SIZES = (0.25, 0.5, 0.75, 1.5, 2.0)
 LARGEST = {"delay": 0.75}
 """Largest size of an effect, over that which must be found: with a longer dead time most drives are unstable."""
 
-_IN_MOTION = ("process/friction", "process/simulation", "process/harmonic_balance")
+_SIMULATED = ("process/simulation", "process/harmonic_balance")
+_IN_MOTION = ("process/friction", *_SIMULATED)
 _MACHINES = ("diagnosis/machine", "diagnosis/evidence")
 _LIMITS = tuple(f"diagnosis/cutting/{name}.py" for name in ("limits", "chatter_line", "converged"))
 NEVER_RUN: dict[str, tuple[str, ...]] = {
@@ -85,7 +86,7 @@ NEVER_RUN: dict[str, tuple[str, ...]] = {
         *_MACHINES,
         *_IN_MOTION,
     ),
-    "drive": ("diagnosis/cutting", "diagnosis/frf", "process/cut", "stability/methods", *_MACHINES, *_IN_MOTION),
+    "drive": ("diagnosis/cutting", "diagnosis/frf", "process/cut", "stability/methods", *_MACHINES, *_SIMULATED),
     "limits": ("diagnosis/drive", "diagnosis/frf", *_MACHINES, *_IN_MOTION),
     "modal": ("diagnosis/cutting", "diagnosis/drive", *_MACHINES),
     "axis": ("diagnosis/cutting", "diagnosis/drive", *_MACHINES),

@@ -21,6 +21,7 @@ from process.types import Complex, Real
 from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.frf.causes import AXES, OF_DECLARED, RESIDUAL, TWICE, modal_causes, pairs, vector
 from smfe.diagnosis.frf.changed import Changed, Shaken
+from smfe.diagnosis.frf.further_mode import further_mode
 from smfe.diagnosis.frf.modal_dynamics import amplitude, full_compliance, left_out, unchanged
 from smfe.diagnosis.frf.modal_slopes import LOOSE, STEP, JointChange, Part, joint_slopes, part_slopes
 from smfe.diagnosis.frf.noise import Excited, excited_of, kept
@@ -61,6 +62,12 @@ ACCELEROMETERS = {"laser": 0.0, "two": 2.0}
 """Setting ``sensor`` -> accelerometers that the tool carries; one without it."""
 
 JOINTS = ("joint_micro_slip", "joint_hardening")
+
+FURTHER = "missing_mode/in band"
+"""Key of a further mode."""
+
+CHANGING = ("free_mass", "added_mass", "spindle_speed")
+"""Settings of a condition that make another machine of it."""
 
 MODE = ("mode_compliance", "mode_frequency", "mode_damping", "mode_azimuth", "mode_elevation")
 """Parameters of a further mode, its size first."""
@@ -206,7 +213,18 @@ class ModalFrfs(Abilities):
         aside = {r: self.tolerances.mode_direction if inside[r - 1] else BEYOND for r in numbers}
         every = modal_causes(numbers, band, size, self._reach, len(self._places), aside)
         gone = (*self.without, *(() if self.fitted is None else OF_DECLARED))
-        return tuple(self._unsettling(c) for c in every if c.key not in gone and c.id not in gone)
+        kept = (c for c in every if c.key not in gone and c.id not in gone)
+        return tuple(replace(c, begin=self._further) if c.key == FURTHER else self._unsettling(c) for c in kept)
+
+    @cached_property
+    def _further(self) -> Values:
+        """Values of a mode that nobody declared, as the compliances show it by themselves; none: they show none."""
+        plain = [
+            (excited_of(c), excited_of(c).compliance_of(np.asarray(c.observed)))
+            for c in self.conditions
+            if c.observed is not None and not any(float(c.settings.get(n, 0.0)) for n in CHANGING)
+        ]
+        return {} if self.fitted is not None or not plain else further_mode(self.model, plain[: RULES.further_of])
 
     def _unsettling(self, cause: Cause) -> Cause:
         """Return a cause with what it makes of fitted modes: hits on a joint that gives way show others than it has.

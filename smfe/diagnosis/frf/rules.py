@@ -94,6 +94,13 @@ class FrfRules:
     excited: float = 0.1  # spectrum of a hit over its impulse below which nothing is asked of a joint
     predictions_kept: int = 20000  # compliances that a family keeps
     modal_kept: int = 4000  # the same of a modal machine, whose compliances are closed form
+    # a mode that nobody declared, as compliances show it by themselves
+    further_step: float = 0.02  # relative distance of the frequencies that are tried
+    further_damping: tuple[float, ...] = (0.02, 0.04)  # with these damping ratios
+    further_lines: int = 300  # of a compliance that are looked at
+    further_of: int = 3  # measurements
+    further_left: float = 2.0  # times the noise that declared poles must leave for a mode to be looked for
+    further_share: float = 0.3  # of what they leave, which it must explain
     machines_kept: int = 40  # machines that are kept with what was prepared for their hits
 
 

@@ -31,8 +31,6 @@ class InferenceRules:
     """The same that the first slopes of a fit promise: in the curved valleys of joints that slip six times was seen."""
     temperatures: tuple[float, ...] = (100.0, 10.0)  # by which priors outweigh data that are far off, one by one
     plausible: int = 3  # times that what is left counts as noise anew
-    beyond_belief: float = 10.0
-    """Standard deviations of what was declared from which on a bad fit is not where others are begun only."""
     warm: float = 0.01  # share of the misfit to which it is found on the way there
     cycles: int = 8  # slopes that are taken anew before damped steps take over
     last_cycles: int = 3  # the same after it: it brings a fit near its end, plain steps then end it
@@ -81,7 +79,6 @@ class InferenceRules:
     enough: float = 0.75
     """Share of what is more than noise from which on a fit from a linearisation needs no starts from elsewhere."""
     named_starts: int = 2  # starts of a cause that are followed
-    shapes_as_declared: int = 4  # shapes of a cause from which it is fitted beside what was declared
     little: float = 0.005  # share of the misfit that counts as explained besides noise
     changing: float = 1e-4  # p-value of a parameter that changes: slow noise, known least, looks most like it
     most_words: int = 6  # words of a setting, such as names of controllers, that are distinguished

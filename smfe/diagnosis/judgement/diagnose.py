@@ -154,7 +154,7 @@ def diagnose(
                     declared = []
                 elif not _borne_out(again, found, declared):
                     declared, unproven = [], declared
-                elif (other := _instead(bench, at, found, declared, steps)) is not None:
+                elif (other := _instead(bench, at, again.fits.get(at.causes, found), declared, steps)) is not None:
                     at, declared = bench.fits[other.causes], []
                     steps = [replace(s, accepted=True, reason="") if s is other else s for s in steps]
                 else:
@@ -307,7 +307,10 @@ def _stand_ins(given: Bench, at: Fit, released: Sequence[Released], worth: Worth
     """
     count = sum(len(r.values[0]) for r in released)
     most = at.chi2 + RULES.penalty * count + RULES.margin
-    model, alone = given.model, [f for causes, f in given.fits.items() if len(causes) == 1 and f.converged]
+    # The same fault in another form is no other.
+    model, wrong = given.model, {g for r in released for g in r.given}
+    other = [f for c, f in given.fits.items() if len(c) == 1 and model.causes[c[0]].id not in wrong]
+    alone = [f for f in other if f.converged]
     near = [f for f in alone if f.chi2 + charge(model, f.causes) < most and not on_bound(model, f, f.causes)]
     found = [f for f in near if not _contradicted(given, f, worth) and not _at_limit(given, f)]
     return sorted(found, key=lambda f: f.chi2 + charge(model, f.causes))

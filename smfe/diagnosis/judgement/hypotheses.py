@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -20,7 +19,6 @@ from smfe.diagnosis.inference.fit import (
     misfit,
     nearest,
     part,
-    plausibly,
     residuals,
     roughly,
     stacked,
@@ -50,7 +48,6 @@ class Bench:
     worth: Worth = EVERYTHING  # what is large enough to matter
     planned: int = 0  # hypotheses that will be fitted, as far as that is known
     _tangents: dict[tuple[int, ...], Tangent] = field(default_factory=dict)
-    _given: dict[tuple[int, ...], Tangent | None] = field(default_factory=dict)
     _thresholds: dict[tuple[int, ...], float] = field(default_factory=dict)
     _left: dict[tuple[int, ...], float] = field(default_factory=dict)
     _held_out: dict[tuple[tuple[int, ...], tuple[Scheme, ...]], HeldOut] = field(default_factory=dict)
@@ -173,7 +170,6 @@ class Bench:
             self.fits[found.causes] = found
             self._tangents.pop(found.causes, None)
             self._thresholds.pop(found.causes, None)
-            self._given.pop(found.causes, None)
             self._left.pop(found.causes, None)
             self._held_out = {key: value for key, value in self._held_out.items() if key[0] != found.causes}
             if found.converged:
@@ -190,11 +186,6 @@ class Bench:
         explained = self.explained(at)
         thorough = self.far(added) and self.bad(at) and most > explained
         found = [] if begun is None else [begun]
-        if (given := self._as_declared(at)) is not None and most > explained:
-            near = self._best_near(given, causes, added, most, explained)
-            if near.converged and near.chi2 <= explained < at.chi2:
-                return near
-            found.append(near)
         for shapes in self._shapes(at, added):
             near = self._near(at, causes, shapes, most)
             found.append(near)
@@ -230,66 +221,6 @@ class Bench:
             if gained > 0.0 and (hopeful or (most > explained and RULES.part * needed < gained < needed)):
                 trials.append(fit(self.model, self.target, causes, best.u, most=most))
         return min([*found, *trials], key=_order)
-
-    def _as_declared(self, at: Fit) -> Tangent | None:
-        """Linearise a hypothesis with what was declared where its fit has moved that beyond belief; None where not.
-
-        What is hidden may lead the fit without it into a minimum from which no slope leads back: hits that lean by 50
-        degrees take up half of a mode. There what is left counts as noise, so that priors hold what was declared.
-        """
-        mine = self.model.nuisance
-        if not self.bad(at) or np.max(np.abs(at.u * self.model.weight)[mine], initial=0.0) < RULES.beyond_belief:
-            return None
-        if at.causes not in self._given:
-            u = at.u.copy()
-            u[mine] = 0.0
-            left, slope = residuals(self.model, self.target, u), self.model.slopes(list(at.slope), u, at.free)
-            self._given[at.causes] = None
-            if left is not None and slope is not None:
-                chi2, weight = misfit(self.model, self.target, mine, u, left), self.model.weight
-                there = replace(at, u=u, chi2=chi2, residual=left, slope=slope)
-                try:
-                    self.model.weight = weight * math.sqrt(max(chi2 / self.values, 1.0))
-                    self._given[at.causes] = tangent(self.model, self.target, there)
-                finally:
-                    self.model.weight = weight
-        return self._given[at.causes]
-
-    def _best_near(
-        self, there: Tangent, causes: tuple[int, ...], added: Sequence[int], most: float, explained: float
-    ) -> Fit:
-        """Fit from a linearisation elsewhere, by the shapes that do most there, until one explains what there was."""
-        shapes = sorted(
-            product(*([s for s in there.signatures if s.cause == k] for k in added)),
-            key=lambda s: -combined_gain(self.model, there, s),
-        )
-        found = [self._follow(causes, *self._linearised(there.fit, causes, shapes[0] if shapes else ()), most)]
-        if self.model.roughness > 0.0 or not self._explains_as_declared(there, added):
-            return found[0]
-        own = np.concatenate([self.model.of_cause[k] for k in added])
-        for s in shapes[: RULES.shapes_as_declared]:
-            # Its own parameters first: beside others a mode that is not yet in its place is given up for them.
-            alone = fit(self.model, self.target, causes, self._linearised(there.fit, causes, s)[0], only=own)
-            held = plausibly(self.model, self.target, causes, alone.u)
-            found.append(fit(self.model, self.target, causes, held, most=most))
-            if found[-1].converged and found[-1].chi2 <= explained:
-                break
-        return min(found, key=_order)
-
-    def _explains_as_declared(self, there: Tangent, added: Sequence[int]) -> bool:
-        """Whether causes explain, beside what was declared, about as much as any other does.
-
-        Of what acts far from its null the first slopes say little: a mode nearby, along another direction.
-        """
-        gains = [(s.cause, combined_gain(self.model, there, (s,))) for s in there.acting]
-        best = max((gain for _, gain in gains), default=0.0)
-        least = RULES.far if self.far(added) else RULES.halfway * best
-        return any(gain > least for k, gain in gains if k in added)
-
-    def hinted(self, at: Fit, k: int) -> bool:
-        """Whether a cause explains what a fit leaves if its values, which nobody would believe, were as declared."""
-        there = self._as_declared(at)
-        return there is not None and self._explains_as_declared(there, (k,))
 
     def leads(self, at: Fit, found: Fit) -> bool:
         """Whether a fit with a cause that the data were seen to fit with explains most of what is more than noise."""

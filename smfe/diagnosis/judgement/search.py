@@ -64,7 +64,14 @@ def _searched(
     if begin and (known := bench.extend(at, begin)).converged:
         at = _drop_idle(bench, known, steps, least=0)
     seen: set[tuple[int, ...]] = {(), at.causes}
-    while len(at.causes) < most and (not at.causes or bench.matters(at, RULES.worth_a_search) or _hides(bench, at)):
+
+    def unfinished() -> bool:
+        """Whether causes are left that matter, or what was declared is moved for want of a small one."""
+        if not at.causes or bench.matters(at, RULES.worth_a_search) or _hides(bench, at):
+            return True
+        return released is not None and released(at) > 0.0
+
+    while len(at.causes) < most and unfinished():
         step = _best_step(bench, at, steps)
         if step is None:
             return bench.fits[at.causes]
@@ -181,13 +188,13 @@ def _others(bench: Bench, at: Fit, replaced: int | None = None) -> list[int]:
 def _promising(bench: Bench, at: Fit, others: Sequence[int], limit: float) -> list[int]:
     """Causes that come near a limit to first order, and the best few: those that are worth a fit."""
     gains = {k: bench.first_order(at, (k,)) - charge(bench.model, [k]) for k in others}
-    hinted = {k for k in others if bench.hinted(at, k)}
-    ordered = sorted((k for k in others if gains[k] > 1.0 or bench.far([k]) or k in hinted), key=lambda k: -gains[k])
+    seen = {k for k in others if bench.model.causes[k].begin}
+    ordered = sorted((k for k in others if gains[k] > 1.0 or bench.far([k]) or k in seen), key=lambda k: -gains[k])
     bad = bench.bad(at)
     tried = [
         k
         for n, k in enumerate(ordered)
-        if n < RULES.least_tried or gains[k] > RULES.promising * limit or k in hinted or (bad and bench.far([k]))
+        if n < RULES.least_tried or gains[k] > RULES.promising * limit or k in seen or (bad and bench.far([k]))
     ]
     # What fitted nearly the same data best goes first, then what explains a part of them with slopes of the smaller
     # fit: what does worse is not followed to its optimum. What acts far from its null only comes in the order of the

@@ -573,14 +573,18 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
 
         if name in OF_A_CHANNEL:
             draw[:] = max(([*draw, k] for k in range(8)), key=lambda d, size=size, price=price: price(size, draw=d))
+        if name == "missing_mode":
+            # Along z, or far from the modes that chatter, no mode that a machine has costs anything.
+            tried = [[*draw, k] for k in range(8)]
+            able = (d for d in tried if price(LARGE_MODE[1], draw=d) >= bench.CLEARLY * bench.MATERIAL)
+            draw[:] = next(able, tried[0])
         if scale == 1.0:
             size, cost = bench.raised(size, price, what.switch)
         else:
             size, cost = bench.raised(what.size * (signs[name] if what.signed else 1.0), price, what.switch)
             size, cost = size * scale, price(size * scale)
         if name == "missing_mode" and large and scale == 1.0:
-            size = max(size, float(more.uniform(*LARGE_MODE)))
-            cost = price(size)
+            size, cost = bench.raised(max(size, float(more.uniform(*LARGE_MODE))), price)
         sizes[name] = size
         shop = planted(now, name, size, np.random.default_rng(draw))
     _write(path, shop, healthy, plan, cut, by_model, uncertain, errors, timed, rng)

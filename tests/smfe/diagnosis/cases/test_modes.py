@@ -226,12 +226,11 @@ def away_at(excited, away):
     [("healthy", 14_101_000, []), ("drift", 14_120_100, ["drift"]), ("posture", 14_120_000, ["posture"])],
 )
 def test_measurements_without_a_time_show_a_drift_and_no_other_effect_as_one(tmp_path, what, seed, causes) -> None:
-    """The generator says when each was made, as few do: here nobody says it."""
+    """Of half of the campaigns the generator says when each was made: here nobody says it."""
     draw("modal", seed, what, tmp_path / "ram", 1.0)
     campaign = tmp_path / "ram" / "campaign.toml"
     lines = campaign.read_text(encoding="utf-8").splitlines()
     untimed = [line for line in lines if not line.startswith("started")]
-    assert len(untimed) < len(lines)
     campaign.write_text("\n".join(untimed), encoding="utf-8")
     found = smfe.diagnose(campaign)
     assert (found.verdict, [c.id for c in found.causes]) == ("named" if causes else "consistent", causes)
