@@ -149,7 +149,14 @@ def _best_step(bench: Bench, at: Fit, steps: list[Step]) -> Fit | None:
         found.append((bench.pursued(tried) if tried.chi2 < min(least, passing) else tried, (k,)))
     at = _settled(bench, at, [f for f, _ in found if f.converged])
     limit, found = bench.threshold(at), _with_shapes(bench, at, found)
-    for candidate, added in _ordered(bench, at, found):
+    ordered = _ordered(bench, at, found)
+    # What is known to be so within its tolerance goes before what fits hardly better and is known of nothing.
+    least = max((_merit(bench, at, f) for f, _ in ordered), default=0.0) - RULES.margin
+
+    def unknown(one: tuple[Fit, tuple[int, ...]]) -> bool:
+        return _merit(bench, at, one[0]) <= least or not bench.as_known(one[0], one[1][0])
+
+    for candidate, added in sorted(ordered, key=unknown):
         if _passes(bench, at, candidate, added, limit, steps):
             return bench.fits[candidate.causes]
     return _best_pair(bench, at, others, [added[0] for _, added in _ordered(bench, at, found)][:2], steps)
