@@ -39,7 +39,7 @@ def further_mode(model: ModalModel, measured: Sequence[tuple[Excited, Complex]])
     for (f, phi, std), (excited, _) in zip(seen, measured, strict=True):
         known = _known(model, f)
         for n, entry in enumerate(excited.entries):
-            weight = 1.0 / np.tile(std[:, n], 2)
+            weight = math.sqrt(2.0) / np.tile(std[:, n], 2)  # `std` is that of real and imaginary part together
             base = np.linalg.qr(known * weight[:, None])[0]
             rest = np.concatenate([phi[:, n].real, phi[:, n].imag]) * weight
             rest = rest - base @ (base.T @ rest)

@@ -99,7 +99,7 @@ class FrfRules:
     further_damping: tuple[float, ...] = (0.02, 0.04)  # with these damping ratios
     further_lines: int = 300  # of a compliance that are looked at
     further_of: int = 3  # measurements
-    further_left: float = 2.0  # times the noise that declared poles must leave for a mode to be looked for
+    further_left: float = 1.5  # times the noise that declared poles must leave for a mode to be looked for
     further_share: float = 0.3  # of what they leave, which it must explain
     machines_kept: int = 40  # machines that are kept with what was prepared for their hits
 
