@@ -50,7 +50,7 @@ def test_viscous_friction_only_is_convicted_at_rest_and_at_500_mm_min():
     assert intervals["stribeck_coulomb"][0] > 0.5 * 44.2
 
 
-@pytest.mark.slow
+@pytest.mark.exam
 def test_coulomb_friction_is_convicted_of_missing_stribeck_where_transition_feeds_were_measured():
     found = diagnose(family(measured(Truth(), *forth(100.0, 250.0, 500.0)), "coulomb"))
     assert named(found) == ("named", [("guideway_friction", "stribeck")])

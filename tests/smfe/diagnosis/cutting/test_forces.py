@@ -282,7 +282,7 @@ def test_an_effect_of_the_size_that_must_be_found_is_named(effect: str, cause: s
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.exam), 2])
 def test_a_worn_insert_is_not_in_the_catalogue(seed: int) -> None:
     assert hidden("dull_tooth", seed)[0].verdict == "unknown"
 
