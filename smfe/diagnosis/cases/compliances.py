@@ -43,6 +43,7 @@ from smfe.diagnosis.frf.rules import RULES
 from smfe.diagnosis.frf.workshop import runs, with_single_hits
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition
+from smfe.diagnosis.machine.axes import is_known
 from smfe.identification.errors.result import Identification
 from smfe.progress import Progress, silent
 
@@ -55,6 +56,8 @@ def axis_baseline(baseline: AxisModel, tolerances: Tolerances | None = None) -> 
             f"baseline.friction: a {type(law).__name__} law cannot be tested; give viscous, coulomb, "
             "coulomb_viscous or andersson"
         )
+    if not is_known(law):
+        raise InputError("baseline.friction has a delta other than 1, which cannot be tested on an axis; leave it out")
     known: dict[str, float | Sides] = {n: float(getattr(law, n)) for n in names if hasattr(law, n)}
     drive = replace(baseline.drive, sigma=law.sigma)
     if isinstance(law, Andersson) and (back := law.negative) is not None:

@@ -95,12 +95,13 @@ class FrfRules:
     predictions_kept: int = 20000  # compliances that a family keeps
     modal_kept: int = 4000  # the same of a modal machine, whose compliances are closed form
     # a mode that nobody declared, as compliances show it by themselves
-    further_step: float = 0.02  # relative distance of the frequencies that are tried
-    further_damping: tuple[float, ...] = (0.02, 0.04)  # with these damping ratios
-    further_lines: int = 300  # of a compliance that are looked at
+    further_damping: tuple[float, ...] = (0.005, 0.01, 0.02, 0.04)  # ratios that are tried, at each width
+    further_own: float = 1e-6  # share of the square of a pole that known ones must leave
+    further_lines: int = 1500  # of a compliance that are looked at
+    further_rounds: int = 4  # in which declared poles are brought to where they are
+    further_off: float = 0.015  # as far as they are at most, relative
     further_of: int = 3  # measurements
-    further_left: float = 1.5  # times the noise that declared poles must leave for a mode to be looked for
-    further_share: float = 0.3  # of what they leave, which it must explain
+    further_share: float = 0.2  # of what they leave there, which it must explain
     machines_kept: int = 40  # machines that are kept with what was prepared for their hits
 
 

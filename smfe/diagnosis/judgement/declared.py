@@ -71,7 +71,11 @@ class Declared:
         """Linearise a fit, with the groups of what has a name, or with one of all nuisances that have none ("")."""
         slope, residual = stacked(model, target, at.free, at.u, at.residual, at.slope)
         values = sum(y.size for y in target.observed.values())
-        weight = model.weight[at.free] ** 2
+        fitted = model.weight[at.free] ** 2
+        # What a cause moves no further than is known of it is known so well, too: it makes room for no other value.
+        weight = fitted.copy()
+        for k in (k for k in at.causes if as_known(model, target, at, k)):
+            weight[np.isin(at.free, model.of_cause[k])] = _trusted(model, k) ** -2.0
         variance = _variance(model, target, slope[:values], residual[:values], weight)
         data = slope[:values].T @ (slope[:values] / variance[:, None])
         groups: dict[str, list[int]] = {}
@@ -87,13 +91,13 @@ class Declared:
         off = slope[:values].T @ (residual[:values] / variance)
         # Where a fit has stopped a little short of its optimum, released priors would make much of that little.
         inside = _within(model, at)
-        score, held = data @ centred - np.where(inside, off, 0.0), np.where(inside, 0.0, weight * centred)
+        score, held = data @ centred - np.where(inside, off, 0.0), np.where(inside, 0.0, fitted * centred)
         found = cls(model, at.free, at.u, data, weight, score, held, {g: np.array(p) for g, p in groups.items()}, 1.0)
         free = weight.copy()
         for g in groups:
             free = found.without(free, found.groups[g])
         chi2 = at.chi2 + float(np.sum(residual[:values] ** 2 * (1.0 / variance - 1.0)))
-        left = chi2 - found.merit(free) + found.merit(weight)
+        left = chi2 - found.merit(free) + found.merit(fitted)
         # A parameter that keeps its prior takes one of the values and gives one, that prior. Few values leave much more
         # or less than their number by chance.
         ruled = int(np.count_nonzero(weight)) - sum(map(len, groups.values()))
@@ -225,6 +229,27 @@ def _variance(model: Model, target: Target, slope: Real, residual: Real, weight:
     left = told * np.maximum(1.0 - np.sum(orthonormal(slope) ** 2, axis=1), 0.0)
     missed = float(told @ residual**2 - left @ known) / max(float(left @ (1.0 - known)), 1e-300)
     return np.asarray(known + min(max(missed, RULES.least_filled), 1.0) * (1.0 - known))
+
+
+def as_known(model: Model, target: Target, at: Fit, k: int) -> bool:
+    """Whether a fit has a cause no further from nothing than is known of it (`Cause.known`).
+
+    Its parameters p with the covariance C of the fit are zero to within s: ``p^T (C + s^2)^-1 p`` is a chi-square.
+    """
+    if not model.causes[k].known:
+        return False
+    own = np.isin(at.free, model.of_cause[k])
+    slope, _ = stacked(model, target, at.free, at.u, at.residual, at.slope)
+    spread = np.linalg.pinv(slope.T @ slope, hermitian=True)[np.ix_(own, own)]
+    off = at.u[at.free][own]
+    pull = float(off @ np.linalg.solve(spread + np.diag(_trusted(model, k) ** 2), off))
+    return pull <= float(stats.chi2.isf(RULES.contradicted, off.size))
+
+
+def _trusted(model: Model, k: int) -> Real:
+    """Return within what the parameters of a cause are known, scaled."""
+    mine = model.of_cause[k]
+    return np.asarray([model.causes[k].known[model.names[j]] for j in mine] / model.scale[mine])
 
 
 def _within(model: Model, at: Fit) -> NDArray[np.bool_]:

@@ -320,21 +320,21 @@ def _open_between(
     finding: Finding, bench: Bench, at: Fit, given: Bench, rivals: Sequence[Fit], worth: Worth
 ) -> Finding:
     """Return a finding of what was declared wrongly that is open between this and causes, with what separates them."""
-    model, first = bench.model, finding.causes[0]
+    model, wrong = bench.model, finding.causes
     rows = [r for r, c in enumerate(model.conditions) if c.observed is None]
     found = [
         _found(given, f, k, Judgement("named", "", misfit=given.misfit(f)), worth) for f in rivals for k in f.causes
     ]
     contenders = [at, *rivals[: RULES.contenders - 1]]
-    titles = " and ".join(c.title for c in (first, *found[: RULES.contenders - 1]))
+    titles = " and ".join(c.title for c in (wrong[0], *found[: RULES.contenders - 1]))
     models = [model, *[given.model] * (len(contenders) - 1)]
     freed = [j for j in model.nuisance if model.weight[j] != given.model.weight[j]]
     ranked = rank(model, bench.target, contenders, rows, titles, models, freed)
     return replace(
         finding,
         verdict="ambiguous",
-        reason=f"the data do not tell {first.title} from {found[0].title}",
-        alternatives=((first, *found),),
+        reason=f"the data do not tell {wrong[0].title} from {found[0].title}",
+        alternatives=((*wrong, *found),),
         next_experiment=ranked[0] if ranked and ranked[0].probability > 0.5 else None,
     )
 
@@ -685,9 +685,10 @@ def _given(bench: Bench, at: Fit, released: Sequence[Released], worth: Worth) ->
         declared = at.u.copy()
         declared[j] = 0.0
         half = RULES.interval * float(sd[place])
+        # Who cuts takes no value of a sensor, and no depth depends on it.
         cost = worth.cost(model.values(declared), model.values(at.u)) if p.given not in MEASURED else None
-        if cost is None and abs(at.u[j]) > half:
-            cost = worth.of_causes(model, rows, declared, at.u, p.given in MEASURED)
+        if cost is None and p.given not in MEASURED and abs(at.u[j]) > half:
+            cost = worth.of_causes(model, rows, declared, at.u, False)
         value, half = p.start + p.scale * float(at.u[j]), p.scale * half
         value, low, high = ((value + x) * p.shown for x in (0.0, -half, half))
         trusted = p.prior * p.shown

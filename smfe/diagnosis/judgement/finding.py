@@ -226,8 +226,8 @@ class GivenParameter:
     unit: str
     beyond: bool  # whether the data contradict what was declared, and that matters
     cost: float | None = None
-    """Relative change between given and found [1]: of the limit depths, or of what is predicted where no cut is given
-    and where it is of a sensor; None where the data do not tell the one from the other."""
+    """Relative change between given and found [1]: of the limit depths, or of what is predicted where no cut is given;
+    None of a sensor, and there where the data do not tell the one from the other."""
     cost_mm: float | None = None  # the same in millimetres
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
-from scipy import stats
 
 from process.types import Real
 from smfe.diagnosis.inference.cross_validation import Gain, HeldOut, Scheme, compare, held_out, usable, within
@@ -21,7 +20,6 @@ from smfe.diagnosis.inference.fit import (
     part,
     residuals,
     roughly,
-    stacked,
     tolerance,
 )
 from smfe.diagnosis.inference.misfit import Misfit, assess
@@ -29,6 +27,7 @@ from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.inference.signature import Signature, Tangent, tangent
 from smfe.diagnosis.inference.thresholds import combined_gain, threshold
+from smfe.diagnosis.judgement.declared import as_known
 from smfe.diagnosis.judgement.materiality import EVERYTHING, Worth
 from smfe.progress import Progress
 
@@ -390,20 +389,8 @@ class Bench:
         return gain is not None and gain.share >= RULES.named_share
 
     def as_known(self, at: Fit, k: int) -> bool:
-        """Whether a cause is no more than what anybody knows of it: directions of modes, to a degree or two.
-
-        Its parameters p with the covariance C of the fit are zero to within s: ``p^T (C + s^2)^-1 p`` is a chi-square.
-        """
-        model, known = self.model, self.model.causes[k].known
-        if not known:
-            return False
-        own = np.isin(at.free, model.of_cause[k])
-        slope, _ = stacked(model, self.target, at.free, at.u, at.residual, at.slope)
-        spread = np.linalg.pinv(slope.T @ slope, hermitian=True)[np.ix_(own, own)]
-        off, scale = at.u[at.free][own], model.scale[at.free][own]
-        trusted = np.array([known[model.names[j]] for j in at.free[own]]) / scale
-        pull = float(off @ np.linalg.solve(spread + np.diag(trusted**2), off))
-        return pull <= float(stats.chi2.isf(RULES.contradicted, off.size))
+        """Whether a fit has a cause no further from nothing than is known of it."""
+        return as_known(self.model, self.target, at, k)
 
     def far(self, added: Sequence[int]) -> bool:
         """Whether some causes may act far from their null only."""

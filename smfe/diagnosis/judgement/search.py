@@ -67,7 +67,10 @@ def _searched(
 
     def unfinished() -> bool:
         """Whether causes are left that matter, or what was declared is moved for want of a small one."""
-        if not at.causes or bench.matters(at, RULES.worth_a_search) or _hides(bench, at):
+        # What is known within its tolerance is no answer: it makes up for nothing else that may be wrong.
+        if all(bench.as_known(at, k) for k in at.causes) or bench.matters(at, RULES.worth_a_search):
+            return True
+        if _hides(bench, at):
             return True
         return released is not None and released(at) > 0.0
 

@@ -139,6 +139,11 @@ def _judged(
         return replace(told, verdict="unknown", reason=reason)
     if sets:
         return replace(told, verdict="ambiguous", reason=f"the data fit more than one cause{how}")
+    # Beside what is known within its tolerance a cause may have been refused as it is beside nothing.
+    if len(known) == len(at.causes) and not released:
+        beside = _without_cause(bench, at, steps, sizes, worth)
+        if beside.verdict != "consistent":
+            return replace(beside, immaterial=known)
     if not named:
         verdict: Verdict = "named" if released else "consistent"
         said = "no more than what is known of it" if known else "too small to matter"
@@ -182,7 +187,7 @@ def _without_cause(
     if worth.material == 0.0 or found.misfit is None or found.verdict == "consistent":
         return found
     size = worth.left(bench.model, at.residual, bench.rng(10)) if found.misfit.p_value < RULES.band else 0.0
-    tried = [bench.fits[s.causes] for s in steps if not s.accepted and _borne_out(s)]
+    tried = [bench.fits[s.causes] for s in steps if _refused(s, at) and _borne_out(s, at)]
     best = min((f for f in tried if f.converged), key=lambda f: f.chi2, default=None)
     sized = 0.0 if best is None else _beyond_baseline(bench, at, best, worth)
     if max(size, sized) >= worth.material or (found.verdict == "insufficient_data" and best is None):
@@ -201,15 +206,14 @@ def _of_baseline(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence[D
     # errors of a simulation with a mode or a gain: what held-out conditions do not bear out convicts only where the
     # misfit itself is more than noise.
     # What was taken in and dropped later, as a release has made it idle, was not refused.
-    refused_steps = [s for s in steps if not s.accepted]
-    telling = [s for s in refused_steps if left.p_value < RULES.band or _borne_out(s)]
+    telling = [s for s in steps if _refused(s, at) and (left.p_value < RULES.band or _borne_out(s, at))]
     if telling:
         refused = max(telling, key=lambda s: s.ratio - s.threshold)
         best = bench.words([k for k in refused.causes if k not in at.causes])
         reason = f"the baseline is wrong, but the best explanation, {best}, is refused: {refused.reason}"
         # Enough is explained, but not proven on conditions that the fit did not see: more data, not another cause.
         # Pairs that nothing tests fit whatever is hidden.
-        alone = refused.gain is None and len(refused.causes) == 1
+        alone = refused.gain is None and len(refused.causes) == len(at.causes) + 1
         untested = alone and not on_bound(bench.model, bench.fits[refused.causes], refused.causes)
         weak = all(s.gain is None for s in telling) or (
             bench.misfit(bench.fits[refused.causes]).p_value >= RULES.band
@@ -231,9 +235,14 @@ def _of_baseline(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence[D
     return Judgement("consistent", "the baseline leaves nothing but noise", {}, left)
 
 
-def _borne_out(step: Step) -> bool:
-    """Whether held-out conditions do not speak against a single cause."""
-    return len(step.causes) == 1 and (step.gain is None or step.gain.low > 0.0)
+def _refused(step: Step, at: Fit) -> bool:
+    """Whether a step was refused that leads on from a fit."""
+    return not step.accepted and set(at.causes) < set(step.causes)
+
+
+def _borne_out(step: Step, at: Fit) -> bool:
+    """Whether held-out conditions do not speak against a single cause more."""
+    return len(step.causes) == len(at.causes) + 1 and (step.gain is None or step.gain.low > 0.0)
 
 
 def _differing(bench: Bench, at: Fit) -> str:

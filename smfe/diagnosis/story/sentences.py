@@ -327,7 +327,7 @@ def _causes(finding: Finding, setting: Setting) -> Iterator[str]:
         friction = setting.friction if len(finding.causes) > 1 else None
         numbers, worth = numbers_of(cause, True, friction), f"; not proven on {where} that it was not fitted to"
         if cause.gain_db is not None:
-            worth = f"; {_worth_of(cause.gain_db, where)}"
+            worth = f"; {_worth_of(cause, cause.gain_db, where)}"
         elif cause.variant == "declared" and finding.gain is not None and finding.gain.proven:
             worth = ""  # what all of them gain there has been said with the verdict
         yield f"{_capital(_name(cause))}{f': {numbers}' if numbers else ''}{worth}."
@@ -341,10 +341,12 @@ def _causes(finding: Finding, setting: Setting) -> Iterator[str]:
         yield f"These measurements do not separate {listed([_title(c) for c in group], 'from')}."
 
 
-def _worth_of(gain_db: float, where: str) -> str:
+def _worth_of(cause: FoundCause, gain_db: float, where: str) -> str:
     """Return what a cause is worth: by how much the error grows without it."""
     if gain_db < _AS_WELL:
-        return f"a fit without it does as well on {where} left out of the fit, but not with what was declared"
+        # What fits no better with it is named because the fit without it takes values that were not declared.
+        rest = "and less well on all together" if cause.ratio > 0.0 else "but only with values that were not declared"
+        return f"a fit without it does as well on {where} left out of the fit, {rest}"
     times = rounded(10.0 ** (gain_db / 20.0), 2)
     size = f"{times} times as large ({gain_db:.0f} dB)"
     return f"without it the error that repeats is {size}, on {where} left out of the fit"

@@ -17,13 +17,14 @@ from process.cut.tool import Tool
 from process.drive.axis import Drive
 from process.drive.servo import Servo
 from process.errors import InputError
+from process.friction.laws import Andersson
 from process.labels import make_compliance, make_record
-from smfe.campaign import Campaign, LobeRequest, load_campaign
+from smfe.campaign import AxisModel, Campaign, LobeRequest, load_campaign
 from smfe.campaign.tolerances import Tolerances
 from smfe.commands.diagnose import diagnose
 from smfe.diagnosis.audit import audit
 from smfe.diagnosis.cases.case import Case
-from smfe.diagnosis.cases.compliances import as_listed, case_of, steadied
+from smfe.diagnosis.cases.compliances import as_listed, axis_baseline, case_of, steadied
 from smfe.diagnosis.cases.experiments import proposed_experiments
 from smfe.diagnosis.cutting.forces import cutting_family
 from smfe.diagnosis.cutting.orders import SteadyCut
@@ -175,6 +176,14 @@ def test_a_law_of_friction_that_no_drive_record_tells_is_refused_by_its_name(tmp
     record = record_of(Axis(coulomb=20.0, seconds=14.0), 3)
     with pytest.raises(InputError, match="friction of drive records is one of"):
         drive_campaign(tmp_path, record, "friction = { law = 'gms', coulomb = '20 N' }\n")
+
+
+def test_a_shape_of_a_stribeck_curve_that_hits_on_an_axis_do_not_test_is_refused() -> None:
+    law = Andersson(50.0, 90.0, 0.006, 150.0, 1e4, delta=2.0)
+    whole = AxisModel("x", Drive(200.0, 100.0, 4e7, 3e3), {"": Servo(2e4, 0.01, 30.0)}, law)
+    with pytest.raises(InputError, match="delta other than 1, which cannot be tested on an axis; leave it out"):
+        axis_baseline(whole)
+    assert axis_baseline(replace(whole, friction=replace(law, delta=1.0))).known["static"] == 90.0
 
 
 def test_what_is_held_out_must_be_measured_and_leave_something() -> None:

@@ -68,3 +68,38 @@ def test_a_driving_point_that_a_mode_would_make_stiffer_is_no_mode():
     direct = [(Excited(F, (("x", "x"),), x.std[:, :1], "hammer", 1.0), phi[:, :1]) for x, phi in less]
     found = further_mode(model, direct)
     assert abs(found.get("mode_frequency", 0.0) - 104.0) > 2.0
+
+
+@pytest.mark.parametrize("seed", [*range(8), *(pytest.param(n, marks=pytest.mark.slow) for n in range(8, 40))])
+def test_a_mode_of_any_machine_that_is_not_inside_another_is_seen(seed):
+    """Two to six modes over any band, damping of 0.4 to 6 %, few or many lines, one measurement, poles half a % off."""
+    rng = np.random.default_rng([seed, 7])
+
+    def drawn(low, high, size=None):
+        return np.exp(rng.uniform(np.log(low), np.log(high), size))
+
+    low = drawn(15.0, 200.0)
+    high = low * drawn(6.0, 60.0)
+    count = int(rng.integers(2, 7))
+    known, damping = np.sort(drawn(1.3 * low, 0.9 * high, count)), drawn(0.004, 0.06, count)
+    true = ModalModel(known, damping, drawn(1e7, 2e8, count), rng.standard_normal((count, 3)))
+    at, zeta = drawn(1.2 * low, 0.9 * high), drawn(0.004, 0.06)
+    while np.any(np.abs(np.log(at / known)) < damping + zeta):
+        at, zeta = drawn(1.2 * low, 0.9 * high), drawn(0.004, 0.06)
+    # Two lines within the width of each mode at the least: what no line shows nobody sees.
+    least = round((high - low) / min(zeta * at, float(np.min(damping * known))))
+    f = np.linspace(low, high, max(int(rng.choice([200, 1500, 6000])), least))
+    along = rng.standard_normal(3) / np.sqrt(3.0)
+    size = rng.uniform(0.2, 0.5) * np.abs(true.matrix(f)).max() * 2.0 * zeta
+    more = size * np.outer(along, along) / (1.0 - (f / at) ** 2 + 2j * zeta * f / at)[:, None, None]
+    phi = (true.matrix(f) + more).reshape(f.size, 9)
+    std = 0.02 * np.sqrt(np.mean(np.abs(phi) ** 2, axis=0)) * np.ones((f.size, 1))
+    white = rng.standard_normal((2, *phi.shape)) / np.sqrt(2.0)
+    said = ModalModel(
+        known * (1.0 + 0.005 * rng.standard_normal(count)),
+        damping * np.exp(0.2 * rng.standard_normal(count)),
+        1.1 * np.array(true.stiffness),
+        np.array(true.direction) + 0.05 * rng.standard_normal((count, 3)),
+    )
+    found = further_mode(said, [(Excited(f, EVERY, std, "hammer", 1.0), phi + std * (white[0] + 1j * white[1]))])
+    assert found["mode_frequency"] == pytest.approx(at, rel=max(0.02, 2.0 * zeta))

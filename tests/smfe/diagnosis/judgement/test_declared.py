@@ -11,7 +11,7 @@ from smfe.diagnosis.inference.fit import Target, fit
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter
 from smfe.diagnosis.judgement import diagnose as judgement
-from smfe.diagnosis.judgement.declared import Declared, Released, contradicted, masking
+from smfe.diagnosis.judgement.declared import Declared, Released, as_known, contradicted, masking
 from smfe.diagnosis.judgement.diagnose import diagnose
 from smfe.diagnosis.judgement.hypotheses import Bench
 from smfe.diagnosis.judgement.materiality import Worth, predicted_size
@@ -234,6 +234,64 @@ def test_what_everybody_knows_to_be_a_little_off_needs_no_proof_and_is_no_fault(
     family = measured({"ripple": 40.0}, kind=Once)
     causes = tuple(replace(c, known=known) for c in family.causes)
     assert diagnose(replace(family, causes=causes), worth=WORTH).verdict == verdict
+
+
+@dataclass(frozen=True)
+class Twice(Once):
+    """With a bend beside it, at that speed alone."""
+
+    causes: tuple = (
+        Cause("ripple", "a ripple", (Parameter("ripple", "1", 0.0, 1.0),), known={"ripple": 50.0}),
+        Cause("bend", "a bend", (Parameter("bend", "1", 0.0, 1.0),)),
+    )
+
+    def predict(self, condition, values):
+        here = condition.settings["speed"] == 0.0
+        return super().predict(condition, values) + (values.get("bend", 0.0) * SHAPES[5] if here else 0.0)
+
+
+@pytest.mark.parametrize(("bend", "verdict"), [(0.0, "consistent"), (3.0, "insufficient_data")])
+def test_what_nothing_proves_is_no_more_right_beside_what_everybody_knows_to_be_a_little_off(bend, verdict):
+    """Noise is half as large as it was counted, so that all together leave no more than noise with the bend, too."""
+    exact, truth = measured({}, kind=Twice), {"coefficients": 0.0, "gain": 0.0, "ripple": 40.0, "bend": bend}
+    half = np.random.default_rng(3).normal(scale=0.5, size=(6, N))
+    each = [(c, exact.predict(c, truth) + x) for c, x in zip(exact.conditions, half, strict=True)]
+    found = diagnose(replace(exact, conditions=tuple(replace(c, observed=y) for c, y in each)), worth=Worth(0.005))
+    assert (found.verdict, [c.id for c in found.immaterial]) == (verdict, ["ripple"])
+    assert "a bend, is refused" in found.reason or not bend
+
+
+@dataclass(frozen=True)
+class Leaning(Scaled):
+    """A direction of each cut, known within 2 %, does what a gain does that is known within 0.5 %."""
+
+    nuisances: tuple = (declared("coefficients", "", 1e-4), declared("gain", "sensor_gain", 0.005))
+    causes: tuple = (
+        Cause(
+            "directions",
+            "directions",
+            tuple(Parameter(f"lean_{k}", "1", 0.0, 0.1) for k in range(6)),
+            known={f"lean_{k}": 0.02 for k in range(6)},
+        ),
+    )
+
+    def predict(self, condition, values):
+        k = int(condition.settings["speed"])
+        return super().predict(condition, values) + 100.0 * values.get(f"lean_{k}", 0.0) * SHAPES[k % 2]
+
+
+@pytest.mark.parametrize(("all_of_them", "trusted"), [(0.038, True), (0.02, True), (0.038, False)])
+def test_a_gain_is_not_right_because_all_directions_could_lean_alike(all_of_them, trusted):
+    """3.8 % of six directions is 21.7 of 22.5 (a chi-square of six), of their mean with the gain 4.0 deviations."""
+    family = measured({f"lean_{k}": all_of_them for k in range(6)}, kind=Leaning)
+    if not trusted:
+        family = replace(family, causes=tuple(replace(c, known={}) for c in family.causes))
+    model = Model(family, family.conditions)
+    target = Target({r: np.asarray(c.observed) for r, c in enumerate(family.conditions)}, model.null())
+    at = fit(model, target, (0,), model.null())
+    assert as_known(model, target, at, 0) is trusted
+    wrong = contradicted(model, target, at, lambda *_: 1.0, 0.05)
+    assert [r.given for r in wrong] == ([("sensor_gain",)] if trusted and all_of_them > 0.03 else [])
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,12 @@ def test_what_was_refused_alone_is_held_against_the_data_again_where_a_pair_find
     monkeypatch.setattr(module, "_passes", passes)
     monkeypatch.setattr(module, "on_bound", lambda model, found, causes: "")
     stub = SimpleNamespace(
-        model=None, fits=fits, null=lambda: fits[()], threshold=lambda at: 10.0, matters=lambda at, share: True
+        model=None,
+        fits=fits,
+        null=lambda: fits[()],
+        threshold=lambda at: 10.0,
+        matters=lambda at, share: True,
+        as_known=lambda at, k: False,
     )
     at, steps = search(stub)
     assert at.causes == end
@@ -144,11 +149,41 @@ def test_of_what_noise_could_be_nothing_is_a_cause_that_a_declared_value_explain
     monkeypatch.setattr(module, "_merit", lambda one, at, found: at.chi2 - found.chi2)
     monkeypatch.setattr(module, "on_bound", lambda model, found, causes: "")
     stub = SimpleNamespace(
-        model=None, fits=fits, null=lambda: fits[()], bad=lambda at: bad, matters=lambda at, share: True
+        model=None,
+        fits=fits,
+        null=lambda: fits[()],
+        bad=lambda at: bad,
+        matters=lambda at, share: True,
+        as_known=lambda at, k: False,
     )
     at, steps = search(stub, released=lambda at: released)
     assert at.causes == end
     assert steps[0].accepted == bool(end)
+
+
+@pytest.mark.parametrize(("known", "end"), [(True, (0, 1)), (False, (0,))])
+def test_what_is_known_within_its_tolerance_ends_no_search_though_little_is_left(monkeypatch, known, end):
+    def fitted(causes, chi2):
+        return Fit(causes, np.zeros(0, dtype=np.int64), np.zeros(0), chi2, {}, {}, True)
+
+    fits = {(): fitted((), 1000.0), (0,): fitted((0,), 940.0), (0, 1): fitted((0, 1), 700.0)}
+
+    def step(one, at, steps):
+        steps.append(Step((*at.causes, len(at.causes)), "+", 60.0, 12.0, None, 940.0, True))
+        return fits.get(steps[-1].causes)
+
+    monkeypatch.setattr(module, "_best_step", step)
+    monkeypatch.setattr(module, "_drop_idle", lambda one, at, steps: at)
+    monkeypatch.setattr(module, "_hides", lambda one, at: False)
+    monkeypatch.setattr(module, "on_bound", lambda model, found, causes: "")
+    stub = SimpleNamespace(
+        model=None,
+        fits=fits,
+        null=lambda: fits[()],
+        matters=lambda at, share: False,
+        as_known=lambda at, k: known and k == 0,
+    )
+    assert search(stub)[0].causes == end
 
 
 @pytest.mark.parametrize(("share", "used"), [(1e-4, True), (1e-2, False)])
