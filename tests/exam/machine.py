@@ -20,10 +20,13 @@ from truth import three_axes
 from truth.imperfect.bench import Answer
 
 from exam.campaign_scores import Case, Said, page
-from exam.campaigns import FRESH, SEEDS, asked, code, forget_stale, sit
+from exam.campaigns import SEEDS, asked, code, forget_stale, sit
 
 EFFECTS = three_axes.EFFECTS
 PAIRS = tuple(f"{a}+{b}" for n, a in enumerate(EFFECTS) for b in EFFECTS[n + 1 :])
+
+FRESH = 16_000_000
+"""What is added for the exam that counts."""
 
 KEPT = Path("tests/exam/answers/machine.jsonl")
 """Answers, trial ones too: what a seed is for its number says."""

@@ -10,8 +10,8 @@ from truth import three_axes
 
 from exam import machine
 from exam.campaign_scores import Case, Said, scores
-from exam.campaigns import FRESH, forget_stale, sit
-from exam.machine import EFFECTS, PAIRS, cases, tables
+from exam.campaigns import forget_stale, sit
+from exam.machine import EFFECTS, FRESH, PAIRS, cases, tables
 
 
 @pytest.fixture(autouse=True)
