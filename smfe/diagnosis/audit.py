@@ -16,7 +16,7 @@ from process.errors import InputError
 from smfe.campaign import Campaign, CuttingTest, LimitsOf, Measurement, ModesOf, RecordEntry, RigidDrive
 from smfe.campaign.methods import COMPLIANCE_METHODS
 from smfe.diagnosis.cases.drive import unlogged_suspects
-from smfe.diagnosis.checks.channels import channel_suspects, silence_suspects, tone_suspects
+from smfe.diagnosis.checks.channels import channel_suspects, gravity_suspects, silence_suspects, tone_suspects
 from smfe.diagnosis.checks.compliances import (
     factor_suspects,
     model_suspects,
@@ -189,6 +189,7 @@ def _measurement(campaign: Campaign, measurement: Measurement, out: Audit) -> No
     name, method, part = measurement.name, measurement.method, (MEASUREMENT, measurement.name)
     found, tool = out.identified.get(name), campaign.tool
     by_axis: dict[str, list[xr.Dataset]] = {}
+    every: list[tuple[str, xr.Dataset]] = []
     for entry in measurement.records if method != "frf" else ():
         for record in records_of(entry, entry.excitation):
             where = f"{name}, {record.attrs['source']}"
@@ -210,6 +211,9 @@ def _measurement(campaign: Campaign, measurement: Measurement, out: Audit) -> No
                 more = (entry.added_mass, entry.repeat, entry.excitation, entry.cut, entry.width_of_cut)
                 out.seen.append(seen(record, part, (*given, *more), entry.excitation))
             by_axis.setdefault(entry.excitation or "", []).append(record)
+            every.append((where, record))
+    if method not in ("drive", "open_loop", "loop"):
+        out.suspects += gravity_suspects(every)
     if method == "hammer" and found is not None:
         out.suspects += hit_suspects(name, by_axis, found, **hammer_settings(measurement))
     if method == "loop":
@@ -260,12 +264,15 @@ def _cutting_test(campaign: Campaign, test: CuttingTest, where: str, part: Part,
     for record in read_records(test.file, test.channels):
         # A verdict needs the lines of the record, which a cut-off peak or a dead axis leaves in place.
         out.suspects += [_excluding(s, part, s.cause == "saturation") for s in channel_suspects(record, where)]
+        out.suspects += gravity_suspects([(where, record)])
         wrong = list(speed_suspects(record, where, test.spindle_speed, part))
         out.suspects += wrong or clock_suspects(record, where, tool.teeth if tool else None)
         out.seen.append(seen(record, part, said))
         if tool is not None and not wrong and test.depth_of_cut > 0.0:
             arc = engagement(test.cut, test.width_of_cut, tool.diameter)
-            out.suspects += tooth_suspects(record, where, test.spindle_speed, tool, arc)
+            # Chatter may lie on an order of the spindle.
+            if test.observed != "chatter":
+                out.suspects += tooth_suspects(record, where, test.spindle_speed, tool, arc)
             out.suspects += _force_size(campaign, test, record, where)
 
 

@@ -9,6 +9,7 @@ are refined to maximum likelihood with free symmetric residues (`smfe.modes.pole
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -24,7 +25,7 @@ from process.notebook import html_table
 from process.types import Complex, Real
 from smfe.modes.merged_lines import merged
 from smfe.modes.model_order import OrderRules, choose, fit_poles, pair_distance
-from smfe.modes.pole_fit import PoleFit, remainder_modes
+from smfe.modes.pole_fit import PoleFit, remainder_modes, unit_mode
 from smfe.modes.response_matrix import Curves, ResponseMatrix, curves_of, matrix_of
 from smfe.modes.rules import RULES
 from smfe.modes.shapes import ShapeFit, components, fit_shapes
@@ -172,11 +173,13 @@ class ModalFit:
                 "tool "
                 "tip along x, y and z: name responses and excitations so"
             )
-        rows = _mode_rows(shapes, _modes_of_band(shapes))
-        if whole:
-            others = [(*row[:4], STAND_IN) for row in _mode_rows(shapes, ~_modes_of_band(shapes))]
-            rows += _needed(shapes, [*others, *_lower_rows(shapes)])
-        return rows + _upper_rows(shapes)
+        modes, upper = _mode_rows(shapes, _modes_of_band(shapes)), _upper_rows(shapes)
+        if not whole:
+            return [*modes, *upper]
+        others = [(*row[:4], STAND_IN) for row in _mode_rows(shapes, ~_modes_of_band(shapes))]
+        more = _needed(shapes, [*others, *_lower_rows(shapes)])
+        # What balances a remainder of negative stiffness, which no mode has, is worse than nothing without it.
+        return min([*modes, *more, *upper], [*modes, *upper], key=lambda rows: _left(shapes, rows))
 
     def _require_shapes(self) -> ShapeFit:
         if self.shapes is None:
@@ -384,6 +387,20 @@ def _needed(shapes: ShapeFit, rows: list[Row]) -> list[Row]:
         if size * float(np.max(direction**2)) > least:
             found.append(row)
     return found
+
+
+def _left(shapes: ShapeFit, rows: Sequence[Row]) -> float:
+    """Return the squares that modes leave of the compliance at the tool, over its noise."""
+    curves, total = shapes.curves, 0.0
+    for values, std, (r, e) in zip(curves.values, curves.std, curves.pairs, strict=True):
+        if not {r, e} <= set(AXES):
+            continue
+        left = values.copy()
+        for natural, damping, stiffness, direction, _ in rows:
+            along = direction[AXES.index(r)] * direction[AXES.index(e)] / stiffness
+            left -= along * unit_mode(curves.frequency, natural, damping)
+        total += float(np.sum(np.abs(left / std) ** 2))
+    return total
 
 
 def _orders(fit: ModalFit, natural: float, damping: float) -> int:

@@ -71,7 +71,8 @@ def reaching(family: Family, campaign: Campaign) -> Family:
     Moves need not tell the speed of one that is known.
     """
     law = _friction(campaign)
-    if not isinstance(law, Andersson):
+    # A curve that does not rise towards rest is none.
+    if not isinstance(law, Andersson) or law.static <= law.coulomb:
         return family
     given = {"stribeck.speed": law.stribeck_speed, EXPONENT.name: law.delta}
 

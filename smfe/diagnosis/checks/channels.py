@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import xarray as xr
@@ -44,8 +44,6 @@ def channel_suspects(record: xr.Dataset, where: str, pulsed: bool = False) -> It
             yield from _clipped(samples, place)
         yield from _frozen(samples, place, force and not pulsed)
         yield from _coarse(samples, place)
-        if name.startswith("acceleration"):
-            yield from _gravity(samples, place)
     yield from _duplicated(named, where)
 
 
@@ -114,14 +112,27 @@ def _coarse(samples: Real, where: str) -> Iterator[Suspect]:
         )
 
 
-def _gravity(samples: Real, where: str) -> Iterator[Suspect]:
-    mean, spread = float(np.mean(samples)), float(np.std(samples))
-    if abs(abs(mean) - 1.0) < 0.02 and spread < 0.3:
-        evidence = f"its mean is {mean:.4g}, as gravity is in units of g, but it was declared in m/s^2"
-        yield warning("unit_error", where, evidence, 'declare unit = "g", or check the offset')
-    elif abs(abs(mean) / 9.80665 - 1.0) > 0.05 and abs(mean) > 5.0 and spread < abs(mean):
-        evidence = f"its mean is {mean:.4g} m/s^2; a sensor that sees gravity has 9.81, one that does not has 0"
-        yield note("sensor_gain", where, evidence, "turn the sensor over once: the change must be 19.61 m/s^2")
+def gravity_suspects(records: Iterable[tuple[str, xr.Dataset]]) -> Iterator[Suspect]:
+    """Yield the accelerations [m/s2] whose mean is that of gravity in units of g, or no gravity that there is.
+
+    `records`: where each is, and it, all with the same channels. A unit is that of a channel in all of them: an offset
+    of one record that happens to be 1 m/s2 is none.
+    """
+    every: dict[str, list[tuple[str, float, float]]] = {}
+    for where, record in records:
+        for name, samples in channels_of(record):
+            if name.startswith("acceleration"):
+                every.setdefault(name, []).append((where, float(np.mean(samples)), float(np.std(samples))))
+    for name, each in every.items():
+        in_g = all(abs(abs(mean) - 1.0) < 0.02 and spread < 0.3 for _, mean, spread in each)
+        for where, mean, spread in each:
+            if in_g:
+                evidence = f"its mean is {mean:.4g}, as gravity is in units of g, but it was declared in m/s^2"
+                yield warning("unit_error", f"{where}, {name}", evidence, 'declare unit = "g", or check the offset')
+            elif abs(abs(mean) / 9.80665 - 1.0) > 0.05 and abs(mean) > 5.0 and spread < abs(mean):
+                evidence = f"its mean is {mean:.4g} m/s^2; a sensor that sees gravity has 9.81, one that does not has 0"
+                advice = "turn the sensor over once: the change must be 19.61 m/s^2"
+                yield note("sensor_gain", f"{where}, {name}", evidence, advice)
 
 
 def _less_feed(name: str, samples: Real) -> Real:

@@ -1,17 +1,19 @@
 """Claims: the audit names a planted measurement fault and where it is, and finds nothing in clean data."""
 
 import os
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from places import DATASETS
 
-from process.labels import make_compliance
+from process.labels import make_compliance, make_record
 from smfe.campaign import load_campaign
 from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.audit import _compliance_suspects, audit
 from smfe.diagnosis.checks.suspect import suspect_table
+from smfe.records import write_record_netcdf
 
 
 @pytest.mark.parametrize("moves", [False, True])
@@ -25,6 +27,23 @@ def test_a_drive_that_answers_late_gives_out_energy_and_is_no_clock_that_is_late
     campaign = SimpleNamespace(lobes=(), baseline=None, tolerances=Tolerances())
     found = {s.cause for s in _compliance_suspects(campaign, "m", make_compliance(f, phi), moves)}  # type: ignore[arg-type]
     assert ("time_skew" in found) is not moves
+
+
+@pytest.mark.parametrize(("observed", "said"), [("chatter", False), ("stable", True)])
+def test_chatter_on_an_order_of_the_spindle_is_no_number_of_teeth(tmp_path: Path, observed: str, said: bool) -> None:
+    """800 rpm, four teeth: chatter at 133.3 Hz lies on order 10, ten times as large as what the teeth make."""
+    t = np.arange(24000) / 2000.0
+    sizes = {4: 1.0, 8: 0.7, 12: 0.5, 10: 15.0, 20: 1.0}
+    motion = sum(a * np.cos(2.0 * np.pi * 800.0 / 60.0 * n * t + n) for n, a in sizes.items())
+    write_record_netcdf(make_record(t, {"acceleration": {"x": motion}}), tmp_path / "cut.nc")
+    (tmp_path / "campaign.toml").write_text(
+        "[campaign]\nname = 'order'\n"
+        "[tool]\ndiameter = '100 mm'\nteeth = 4\napproach_angle = '90 deg'\n"
+        "[[cutting_test]]\nfile = 'cut.nc'\nspindle_speed = '800 rpm'\ndepth_of_cut = '2 mm'\n"
+        f"cut = 'down'\nwidth_of_cut = '30 mm'\nfeed_per_tooth = '0.1 mm'\nobserved = '{observed}'\n"
+    )
+    found = audit(load_campaign(tmp_path / "campaign.toml"))
+    assert ("tooth_number" in {s.cause for s in found}) == said
 
 
 @pytest.mark.skipif("SMFE_DATA" not in os.environ, reason="needs the public data sets (SMFE_DATA)")

@@ -140,12 +140,15 @@ def instruments(rng: np.random.Generator, rate: float, hum: float = 0.01) -> Ins
 def sensitivities(
     rng: np.random.Generator, gain: float = 0.01, angle: float = math.radians(1.0), talk: float = 0.01
 ) -> Real:
-    """Matrix (3, 3) of a sensor of three axes: calibrated within `gain`, turned by `angle`, with cross-talk."""
-    a, b, c = angle * rng.standard_normal(3)
+    """Matrix (3, 3) of a sensor of three axes: calibrated within `gain`, turned by `angle`, with cross-talk.
+
+    None is further off than three standard deviations: one that is turned by five degrees is no healthy one.
+    """
+    a, b, c = angle * np.clip(rng.standard_normal(3), -3.0, 3.0)
     turn = np.array([[1.0, -c, b], [c, 1.0, -a], [-b, a, 1.0]])
-    cross = talk * rng.standard_normal((3, 3))
+    cross = talk * np.clip(rng.standard_normal((3, 3)), -3.0, 3.0)
     np.fill_diagonal(cross, 0.0)
-    return np.diag(1.0 + gain * rng.standard_normal(3)) @ (np.eye(3) + cross) @ turn
+    return np.diag(1.0 + gain * np.clip(rng.standard_normal(3), -3.0, 3.0)) @ (np.eye(3) + cross) @ turn
 
 
 def clipped_normal(rng: np.random.Generator, sigma: float, most: float = 2.0) -> float:

@@ -402,9 +402,12 @@ def _told(rng: np.random.Generator, d: Drawn, level: float) -> tuple[Drawn, str]
     def said(value: float) -> str:
         return f"{value * (1.0 + bench.clipped_normal(rng, OFF)):.4g}"
 
-    law = f'law = "{"andersson" if falls else "coulomb_viscous"}", coulomb = "{said(coulomb)} N"'
+    sliding = said(coulomb)
+    law = f'law = "{"andersson" if falls else "coulomb_viscous"}", coulomb = "{sliding} N"'
     if falls:
-        law += f', static = "{said(coulomb + a.oil)} N", stribeck_speed = "{said(1e3 * a.slow)} mm/s"'
+        # Nobody gives a curve that rises.
+        static = max(said(coulomb + a.oil), sliding, key=float)
+        law += f', static = "{static} N", stribeck_speed = "{said(1e3 * a.slow)} mm/s"'
     return replace(d, axis=a), f'friction = {{ {law}, sigma = "{said(a.viscous)} N s/m" }}'
 
 

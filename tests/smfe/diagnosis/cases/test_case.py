@@ -26,6 +26,7 @@ from smfe.diagnosis.audit import audit
 from smfe.diagnosis.cases.case import Case
 from smfe.diagnosis.cases.compliances import as_listed, axis_baseline, case_of, steadied
 from smfe.diagnosis.cases.experiments import proposed_experiments
+from smfe.diagnosis.cases.known import with_known
 from smfe.diagnosis.cutting.forces import cutting_family
 from smfe.diagnosis.cutting.orders import SteadyCut
 from smfe.diagnosis.drive.control_law import Gains
@@ -170,6 +171,15 @@ def test_a_healthy_axis_is_one_whatever_the_shape_of_its_stribeck_curve(
     assert load_campaign(tmp_path / "finding.toml").baseline.friction.delta == pytest.approx(
         found.values["stribeck.exponent"], rel=1e-5
     )
+
+
+@pytest.mark.parametrize(("static", "known"), [(20.0, False), (30.0, True)])
+def test_a_stribeck_curve_that_does_not_rise_is_none(tmp_path: Path, static: float, known: bool) -> None:
+    campaign = drive_campaign(tmp_path, record_of(Axis(coulomb=20.0, seconds=14.0), 3), DECLARED.format(20.0, static))
+    found = with_known(case_of(campaign, {}).family, campaign)
+    assert ("stribeck.boost" in {p.name for p in found.nuisances}) is known
+    assert ("low_speed_friction/stribeck" in {c.key for c in found.causes}) is not known
+    assert all(len(start) == len(cause.parameters) for cause in found.causes for start in cause.starts)
 
 
 def test_a_law_of_friction_that_no_drive_record_tells_is_refused_by_its_name(tmp_path: Path) -> None:

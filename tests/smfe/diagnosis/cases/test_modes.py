@@ -14,7 +14,7 @@ import smfe
 from process.errors import InputError
 from process.labels import AXES, make_compliance
 from process.machine.modes import ModalModel
-from smfe.campaign import Campaign, Measurement, Model, ModesOf
+from smfe.campaign import Campaign, Measurement, Model, ModesOf, load_campaign
 from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.cases.case import NamedModes, modes_named
 from smfe.diagnosis.cases.compliances import case_of, left_by_fit
@@ -26,6 +26,7 @@ from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.judgement.declared import strained
 from smfe.diagnosis.judgement.diagnose import diagnose
 from smfe.identification.errors.result import Identification
+from smfe.identification.measurement import identify_measurement
 from stability import Spread
 
 F = np.arange(14.0, 150.0, 0.5)
@@ -234,3 +235,17 @@ def test_measurements_without_a_time_show_a_drift_and_no_other_effect_as_one(tmp
     campaign.write_text("\n".join(untimed), encoding="utf-8")
     found = smfe.diagnose(campaign)
     assert (found.verdict, [c.id for c in found.causes]) == ("named" if causes else "consistent", causes)
+
+
+@pytest.mark.slow
+def test_what_balances_a_remainder_that_no_mode_has_is_not_taken_for_modes(tmp_path: Path) -> None:
+    """Four poles above the band, of 7 um/N, and a remainder of -7 um/N: without it they were 20 times the tool."""
+    draw("modal", 19_001_035, "healthy", tmp_path / "ram", 1.0)
+    whole = load_campaign(tmp_path / "ram" / "campaign.toml")
+    (idle,) = (m for m in whole.measurements if m.name == "hammer_idle")
+    found = {"hammer_idle": identify_measurement(whole, idle)}
+    modal = modes_named(whole, "hammer_idle", found, whole=True).modal
+    phi = found["hammer_idle"].compliance.sel(frequency=slice(35.0, 150.0))
+    left = np.abs(modal.matrix(phi["frequency"].values) - phi["compliance"].values) ** 2
+    size = np.abs(phi["compliance"].values) ** 2
+    assert np.sqrt(left.sum(axis=0) / size.sum(axis=0)).max() < 0.35

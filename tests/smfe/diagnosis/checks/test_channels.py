@@ -8,7 +8,14 @@ import xarray as xr
 
 from process.labels import make_record
 from smfe.campaign import Campaign, Measurement, RecordEntry
-from smfe.diagnosis.checks.channels import channel_suspects, converter_step, silence_suspects, tone_suspects, tones
+from smfe.diagnosis.checks.channels import (
+    channel_suspects,
+    converter_step,
+    gravity_suspects,
+    silence_suspects,
+    tone_suspects,
+    tones,
+)
 from smfe.diagnosis.checks.suspect import suspect_table
 from smfe.records import Channel, write_record_netcdf
 
@@ -83,9 +90,16 @@ class TestChannels:
 
     def test_gravity_in_units_of_g_is_a_unit_error(self) -> None:
         rng = np.random.default_rng(3)
-        in_g = 1.0 + 0.01 * rng.standard_normal(16000)
-        (found,) = channel_suspects(noisy_record(acceleration_z=in_g), "here")
-        assert found.cause == "unit_error"
+        in_g = noisy_record(acceleration_z=1.0 + 0.01 * rng.standard_normal(16000))
+        (found,) = gravity_suspects([("here", in_g)])
+        assert (found.cause, found.where) == ("unit_error", "here, acceleration_z")
+        assert [s.where for s in gravity_suspects([("a", in_g), ("b", in_g)])] == [
+            "a, acceleration_z",
+            "b, acceleration_z",
+        ]
+        # An offset of one record is no unit.
+        other = noisy_record(acceleration_z=0.2 + 0.01 * rng.standard_normal(16000))
+        assert not list(gravity_suspects([("here", in_g), ("there", other)]))
 
     def test_one_signal_on_two_axes(self) -> None:
         samples = np.random.default_rng(4).standard_normal(16000)
