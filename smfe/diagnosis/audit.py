@@ -189,7 +189,7 @@ def _measurement(campaign: Campaign, measurement: Measurement, out: Audit) -> No
     name, method, part = measurement.name, measurement.method, (MEASUREMENT, measurement.name)
     found, tool = out.identified.get(name), campaign.tool
     by_axis: dict[str, list[xr.Dataset]] = {}
-    every: list[tuple[str, xr.Dataset]] = []
+    declared: dict[str, list[tuple[str, xr.Dataset]]] = {}
     for entry in measurement.records if method != "frf" else ():
         for record in records_of(entry, entry.excitation):
             where = f"{name}, {record.attrs['source']}"
@@ -211,9 +211,9 @@ def _measurement(campaign: Campaign, measurement: Measurement, out: Audit) -> No
                 more = (entry.added_mass, entry.repeat, entry.excitation, entry.cut, entry.width_of_cut)
                 out.seen.append(seen(record, part, (*given, *more), entry.excitation))
             by_axis.setdefault(entry.excitation or "", []).append(record)
-            every.append((where, record))
-    if method not in ("drive", "open_loop", "loop"):
-        out.suspects += gravity_suspects(every)
+            declared.setdefault(repr(entry.channels), []).append((where, record))
+    for alike in declared.values() if method not in ("drive", "open_loop", "loop") else ():
+        out.suspects += gravity_suspects(alike)
     if method == "hammer" and found is not None:
         out.suspects += hit_suspects(name, by_axis, found, **hammer_settings(measurement))
     if method == "loop":

@@ -115,8 +115,8 @@ def _coarse(samples: Real, where: str) -> Iterator[Suspect]:
 def gravity_suspects(records: Iterable[tuple[str, xr.Dataset]]) -> Iterator[Suspect]:
     """Yield the accelerations [m/s2] whose mean is that of gravity in units of g, or no gravity that there is.
 
-    `records`: where each is, and it, all with the same channels. A unit is that of a channel in all of them: an offset
-    of one record that happens to be 1 m/s2 is none.
+    `records`: where each is, and it, all with channels that were declared alike. A unit is that of a channel in all of
+    them: an offset of one record that happens to be 1 m/s2 is none.
     """
     every: dict[str, list[tuple[str, float, float]]] = {}
     for where, record in records:
@@ -124,9 +124,11 @@ def gravity_suspects(records: Iterable[tuple[str, xr.Dataset]]) -> Iterator[Susp
             if name.startswith("acceleration"):
                 every.setdefault(name, []).append((where, float(np.mean(samples)), float(np.std(samples))))
     for name, each in every.items():
-        in_g = all(abs(abs(mean) - 1.0) < 0.02 and spread < 0.3 for _, mean, spread in each)
+        # Where the channel vibrates much its mean says nothing.
+        quiet = [mean for _, mean, spread in each if spread < 0.3]
+        in_g = bool(quiet) and all(abs(abs(mean) - 1.0) < 0.02 for mean in quiet)
         for where, mean, spread in each:
-            if in_g:
+            if in_g and spread < 0.3:
                 evidence = f"its mean is {mean:.4g}, as gravity is in units of g, but it was declared in m/s^2"
                 yield warning("unit_error", f"{where}, {name}", evidence, 'declare unit = "g", or check the offset')
             elif abs(abs(mean) / 9.80665 - 1.0) > 0.05 and abs(mean) > 5.0 and spread < abs(mean):

@@ -97,6 +97,9 @@ class TestChannels:
             "a, acceleration_z",
             "b, acceleration_z",
         ]
+        # A record that vibrates has no say.
+        loud = noisy_record(acceleration_z=0.7 + rng.standard_normal(16000))
+        assert [s.where for s in gravity_suspects([("here", in_g), ("there", loud)])] == ["here, acceleration_z"]
         # An offset of one record is no unit.
         other = noisy_record(acceleration_z=0.2 + 0.01 * rng.standard_normal(16000))
         assert not list(gravity_suspects([("here", in_g), ("there", other)]))
