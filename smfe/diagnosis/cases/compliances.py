@@ -26,7 +26,7 @@ from smfe.diagnosis.cases.drive import drive_case
 from smfe.diagnosis.cases.evidence import evidence_case
 from smfe.diagnosis.cases.experiments import proposed_experiments, proposed_modal_experiments
 from smfe.diagnosis.cases.machine import band_of, machine_family
-from smfe.diagnosis.checks.suspect import Suspect, warning
+from smfe.diagnosis.checks.suspect import Suspect, note, warning
 from smfe.diagnosis.frf.axis import MachineFrfs, as_hit
 from smfe.diagnosis.frf.axis_baseline import SPREAD as SHEET
 from smfe.diagnosis.frf.axis_baseline import AxisBaseline, Sides
@@ -45,6 +45,7 @@ from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Condition
 from smfe.diagnosis.machine.axes import is_known
 from smfe.identification.errors.result import Identification
+from smfe.identification.hammer.direction import UNLIKE
 from smfe.progress import Progress, silent
 
 
@@ -117,7 +118,7 @@ def case_of(
 def _axis_family(
     campaign: Campaign, baseline: AxisBaseline, found: Mapping[str, Identification]
 ) -> tuple[MachineFrfs, tuple[Suspect, ...]]:
-    """Every hammer and actuator measurement along an axis; warnings of those with too few hits."""
+    """Every hammer and actuator measurement along an axis; suspicions of those that are left out."""
     axis, band = baseline.axis, (RULES.lowest, RULES.reach * baseline.drive.locked_frequency)
     conditions, few = [], []
     for m, order in _ordered(campaign):
@@ -130,7 +131,11 @@ def _axis_family(
                 "they share"
             )
             advice = f"left out of the comparison; hit {RULES.fewest_hits} times or more"
-            few.append(warning("few_hits", m.name, f"{evidence} from the machine", advice))
+            # What was hit as it should be, but found a guideway otherwise, is no fault of who hit.
+            along = found[m.name].tables["hits"].query("excitation == @axis and not used")
+            struck = hits + int(along["reason"].str.startswith(UNLIKE).sum())
+            level = note if struck >= RULES.fewest_hits else warning
+            few.append(level("few_hits", m.name, f"{evidence} from the machine", advice))
             continue
         controller = next(iter(baseline.servos)) if len(baseline.servos) == 1 else m.controller
         if controller not in baseline.servos:
@@ -144,7 +149,14 @@ def _axis_family(
             f"no hammer or actuator measurement has {axis} under a force along {axis} with its "
             f"uncertainty (three hits or more{_too_few(found, (axis,))}); the baseline has nothing to be compared with"
         )
-    return MachineFrfs(baseline, tuple(_in_session(campaign, conditions))), tuple(few)
+    family = MachineFrfs(baseline, tuple(_in_session(campaign, conditions)))
+    unsteady = [c.name for c in family.conditions if family.sticks_and_slips(c)]
+    if 0 < len(unsteady) < len(conditions):
+        said = "as declared, its friction falls so fast with speed at this feed that the axis sticks and slips"
+        told = "left out of the comparison, for no hit finds it as another did; measure faster, or declare its friction"
+        few += [note("low_speed_friction", name, said, told) for name in unsteady]
+        family = replace(family, conditions=tuple(c for c in family.conditions if c.name not in unsteady))
+    return family, tuple(few)
 
 
 def _modal_family(

@@ -58,11 +58,25 @@ def wrong_directions(columns: Mapping[str, HitSpectra]) -> tuple[dict[tuple[str,
             faults[axis, m] = ""
     accused = dict(faults)
     for axis, m in accused:
-        if _belongs(axis, m, shapes, accused):
+        reason = _reason(axis, m, shapes, accused)
+        if _belongs(axis, m, shapes, accused) or (reason.startswith(UNLIKE) and _scattered(axis, m, shapes, accused)):
             del faults[axis, m]
         else:
-            faults[axis, m] = _reason(axis, m, shapes, accused)
+            faults[axis, m] = reason
     return faults, notes
+
+
+def _scattered(axis: str, m: int, shapes: Mapping[str, Complex], faults: Mapping[tuple[str, int], str]) -> bool:
+    """Whether the others of its axis are hardly more like each other than a hit that is like none is like them.
+
+    Each hit that breaks a guideway away finds another state of it.
+    """
+    good = [k for k in range(len(shapes[axis])) if (axis, k) not in faults]
+
+    def unlike(k: int) -> float:
+        return 1.0 - compared(shapes[axis][k], np.mean([shapes[axis][j] for j in good if j != k], axis=0))[0]
+
+    return len(good) > 1 and unlike(m) < RULES.apart * max(unlike(k) for k in good)
 
 
 def _belongs(axis: str, m: int, shapes: Mapping[str, Complex], faults: Mapping[tuple[str, int], str]) -> bool:

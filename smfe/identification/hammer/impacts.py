@@ -264,12 +264,18 @@ def _rings(pulse: Real, main: int, second: int) -> bool:
     return bool(before.size) and -float(before.min()) >= 0.5 * float(pulse[second])
 
 
+_BY_CHANCE = 1e-6
+"""Probability with which noise may repeat the largest value as often: each channel of each hit is asked."""
+
+
 def flat_top(samples: Real) -> bool:
     """Whether the largest values of a signal are cut off.
 
     A cut-off signal holds at least three consecutive samples at the maximum and leaves them steeply. A smooth maximum
     read by a coarse converter also repeats values, but is a parabola: if it stays within ``tol`` of the top over a
-    half-width h, it is at most ``tol (1 + k/h)^2`` lower k samples beyond, plus a step of the converter.
+    half-width h, it is at most ``tol (1 + k/h)^2`` lower k samples beyond, plus a step of the converter. Noise may
+    repeat values, too: where it could round such a top off, n of them agree by chance with a probability of
+    ``(step/(2 sqrt(pi) noise))^(n-1)``.
 
     Parameters
     ----------
@@ -288,8 +294,18 @@ def flat_top(samples: Real) -> bool:
         return False
     half = 0.5 * (b - a - 1)
     beyond = max(2, round(half))
-    drop = [top - float(samples[i]) for i in (a - beyond, b - 1 + beyond) if 0 <= i < samples.size]
-    return bool(drop) and min(drop) > ((1.0 + beyond / half) ** 2 + 2.0) * tolerance
+    drop = min((top - float(samples[i]) for i in (a - beyond, b - 1 + beyond) if 0 <= i < samples.size), default=0.0)
+    wide = (1.0 + beyond / half) ** 2 + 2.0
+    if drop <= wide * tolerance:
+        return False
+    # Where the signal is quietest its second differences are those of the noise, of six times its variance. A short
+    # one is quiet nowhere.
+    bends = np.abs(np.diff(samples, 2))
+    quietest = min((float(np.median(part)) for part in np.array_split(bends, 8) if part.size >= 8), default=0.0)
+    noise = _MAD_TO_STD * quietest / math.sqrt(6.0)
+    if drop > wide * 3.0 * noise:
+        return True
+    return (tolerance / (2.0 * math.sqrt(math.pi) * noise)) ** (b - a - 1) < _BY_CHANCE
 
 
 def _converter_step(samples: Real, scale: float) -> float:

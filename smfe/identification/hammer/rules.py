@@ -34,6 +34,9 @@ class HammerRules:
     noisy_shape: float = 0.3
     """The same of a hit and the mean of the others, if it is like no other axis and of the right size and sign."""
 
+    apart: float = 3.0
+    """What a hit that is like no axis lacks to the others of its own, over the most that one of these lacks."""
+
     same_size: float = 2.0
     """Largest ratio of their compliances."""
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from process.cut.engagement import engagement
 from process.cut.force import CuttingCoefficients
@@ -54,6 +55,18 @@ def test_a_chatter_on_a_spindle_order_is_not_taken_for_the_run_out(verdict: Chat
     order = round(verdict.chatter_frequency_Hz / SPEED * 60.0) + 2 * TOOL.teeth
     seen = order * SPEED / 60.0
     assert vibrating_line(replace(verdict, chatter_frequency_Hz=seen), TOOL.teeth) == seen
+
+
+def test_the_highest_line_is_that_of_the_vibration_though_it_stands_beside_an_order(verdict: ChatterVerdict) -> None:
+    """A line of the distance that is resolved from an order was judged to be chatter: its side lines are lower."""
+    resolved, turn = verdict.resolution_Hz, SPEED / 60.0
+    main = 16 * turn + 0.9 * resolved
+    frequency = np.arange(0.0, 2.0 * main, 0.1 * resolved)
+    lines = (main, 5.0), (main - 0.997 * PASSING, 0.8)
+    shape = sum(h * np.exp(-(((frequency - f) / resolved) ** 2)) for f, h in lines)
+    spectrum = xr.Dataset({"vector_amplitude": ("frequency", shape)}, {"frequency": frequency})
+    seen = replace(verdict, chatter_frequency_Hz=main, spectrum=spectrum)
+    assert vibrating_line(seen, TOOL.teeth) == main
 
 
 def test_without_a_line_there_is_none(verdict: ChatterVerdict) -> None:

@@ -8,7 +8,7 @@ import xarray as xr
 from scipy import signal
 
 from process.labels import make_record
-from smfe.identification.hammer.direction import compared
+from smfe.identification.hammer.direction import HitSpectra, compared, wrong_directions
 from smfe.identification.hammer.hammer import identify_hammer
 from smfe.identification.hammer.impacts import find_hits
 
@@ -125,6 +125,23 @@ def test_levels_of_a_machine_with_friction_are_not_compared() -> None:
     record["force"].values[:, n : 2 * n] *= 0.1
     record["displacement"].values[:, n : 2 * n] *= 0.3
     assert identify_hammer("levels", {"x": [record]}).tables["hits"]["used"].all()
+
+
+@pytest.mark.parametrize(("apart", "wrong"), [(0.9, []), (0.4, [2])])
+def test_a_hit_is_not_outvoted_by_hits_that_differ_as_much(apart: float, wrong: list[int]) -> None:
+    """Of a guideway that sticks each hit finds another state: shapes of three hits, two of them as far apart as given.
+
+    The modal assurance criterion of vectors an angle apart is the square of its cosine.
+    """
+
+    def at(angle: float) -> np.ndarray:
+        return np.array([np.cos(angle), np.sin(angle)], dtype=complex)
+
+    hits = find_hits(hits_along("xxx", "x", noise=0.0), "x")
+    w = 2.0 * np.pi * np.array([10.0, 20.0])
+    shapes = np.stack([at(0.0), at(0.65 * apart), at(1.35)], axis=1) / w[:, None]
+    faults, _ = wrong_directions({"x": HitSpectra(hits, w / (2.0 * np.pi), shapes[:, None, :], np.ones((2, 3)) + 0j)})
+    assert [m for _, m in faults] == wrong
 
 
 def test_shapes_are_compared_without_regard_to_size() -> None:

@@ -282,6 +282,19 @@ def test_flat_top_is_distinguished_from_a_coarse_converter(bits: int, share: flo
     assert flat_top(np.round(np.minimum(np.sin(t), share) / step) * step)
 
 
+@pytest.mark.parametrize("clipped", [False, True])
+def test_noise_that_repeats_the_largest_value_thrice_cuts_nothing_off(clipped: bool) -> None:
+    """Noise of 50 steps of the converter makes three values alike one time in 30,000, and ten of them never."""
+    rng, t = np.random.default_rng(7), np.arange(3000) * 0.15
+    heard = np.where(t > 60.0, np.exp(-(t - 60.0) / 60.0) * np.sin(t), 0.0) + 0.035 * rng.standard_normal(t.size)
+    top = int(np.argmax(heard))
+    heard[top - 1 : top + 2] = heard[top]
+    if clipped:
+        heard = np.minimum(heard, 0.6)
+    step = 0.035 / 50.0
+    assert flat_top(np.round(heard / step) * step) == clipped
+
+
 def test_a_hit_that_began_before_the_record_is_not_used() -> None:
     record = bench([(0.1, 25.0), (4.1, 40.0)], 8.0).isel(time=slice(255, None))
     table = identify_hammer("bench", {"x": [record]}).tables["hits"]
