@@ -24,6 +24,7 @@ from process.errors import InputError
 from process.friction.laws import Viscous
 from process.harmonic_balance.quasi_frf import quasi_compliance
 from process.machine.machine import Machine
+from process.machine.operating_point import OperatingPoint
 from process.simulation.excitation import Excitation, HalfSine
 from process.simulation.machine import RepeatedImpact
 from process.simulation.problem import MachineRun
@@ -36,6 +37,7 @@ from smfe.diagnosis.frf.workshop import errors_along_axis
 from smfe.diagnosis.inference.fit import Target, plausibly, residuals
 from smfe.diagnosis.inference.model import Model
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
+from smfe.diagnosis.inference.rules import RULES as INFERENCE_RULES
 
 DRY = "guideway_friction"
 """Cause that makes a guideway dry that was declared not to be."""
@@ -94,6 +96,11 @@ class MachineFrfs(Abilities):
         found = {p.name for p in cause.parameters} & {"stribeck_coulomb", "friction_level"} & set(self.sliding)
         return replace(cause, begin=self.sliding) if found else cause
 
+    @property
+    def decisive(self) -> float:
+        """Of a guideway that is declared to be dry: no law gives way before it slides as the machine does."""
+        return INFERENCE_RULES.decisive if "coulomb" in self.baseline.known else 0.0
+
     def condition_degrees_of_freedom(self, condition: Condition) -> float:
         """Degrees of freedom with which the noise of a measured compliance is known."""
         return excited_of(condition).degrees_of_freedom
@@ -124,15 +131,32 @@ class MachineFrfs(Abilities):
     def _least_real(self, condition: Condition, values: Values) -> float:
         """Most negative real part for small vibration, without its sign; 0 at rest, and where none stays small."""
         excited, axis = excited_of(condition), self.baseline.axis
-        feed = excited.feed.get(axis, 0.0)
-        found = self.baseline.under(self.baseline.effective(values, condition.settings, feed), excited.controller)
-        if feed == 0.0 or max(side.static for side in found.friction) == 0.0:
-            return 0.0
-        at = self.baseline.machine(found).at({axis: feed}, excited.controller)
-        if at.unstable_poles():
+        at = self._sliding(condition, values)
+        if at is None or at.unstable_poles():
             return 0.0
         n = "xyz".index(axis)
         return float(-at.matrix(excited.frequency)[:, n, n].real.min())
+
+    def _sliding(self, condition: Condition, values: Values, falling: bool = True) -> OperatingPoint | None:
+        """Return the axis on its dry guideway as it moves; None at rest, or without dry friction.
+
+        Without `falling` its friction is not less at a higher speed.
+        """
+        excited, axis = excited_of(condition), self.baseline.axis
+        feed = excited.feed.get(axis, 0.0)
+        found = self.baseline.under(self.baseline.effective(values, condition.settings, feed), excited.controller)
+        if feed == 0.0 or max(side.static for side in found.friction) == 0.0:
+            return None
+        if not falling:
+            forth, back = (side._replace(static=side.coulomb) for side in found.friction)
+            found = found._replace(friction=(forth, back))
+        return self.baseline.machine(found).at({axis: feed}, excited.controller)
+
+    def sticks_and_slips(self, condition: Condition) -> bool:
+        """Whether an axis as it is declared vibrates by itself at a feed, for its friction falls with speed there."""
+        declared = {p.name: p.start for p in self.nuisances}
+        with_it, without = (self._sliding(condition, declared, falling) for falling in (True, False))
+        return bool(with_it and without and with_it.unstable_poles() and not without.unstable_poles())
 
     def relative(self, condition: Condition, predicted: Real, slopes: Real) -> Complex:
         """Return slopes of a prediction, (n, p), over the prediction itself, each line by itself, (n/2, p)."""

@@ -165,6 +165,9 @@ def held_out(model: Model, target: Target, fit: Fit, chosen: Sequence[Scheme]) -
 def _along(model: Model, rows: Sequence[int]) -> float:
     """Return the most that the variance of the noise of conditions is along any direction; infinite: not known."""
     family, known = model.family, model.noise_knowledge
+    # At a likelihood ratio that is decisive beside what a model misses, what is won is three deviations.
+    if family.decisive > 0.0:
+        return family.decisive / RULES.proven
     sized = family.bounded_noise or all(math.isinf(known.of(r)) for r in rows)
     if family.model_error > 0.0 or family.roughness > 0.0 or not sized:
         return math.inf

@@ -166,6 +166,14 @@ class Abilities(Protocol):
         """Whether causes have parameters enough to take up what others do: little left is no sign that all is found."""
         return False
 
+    @property
+    def decisive(self) -> float:
+        """Likelihood ratio, over what is left, from which on counts what no condition left out bears out; 0: any does.
+
+        It is that which a model reaches by what it misses of a machine that is as declared.
+        """
+        return 0.0
+
     def measured_noise(self, condition: Condition) -> Real | None:
         """Return the standard deviation of the noise in whitened data that was measured, (n,); None: all of it.
 

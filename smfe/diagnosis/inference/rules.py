@@ -58,6 +58,9 @@ class InferenceRules:
     most_one_sided: int = 5  # parameters on a bound that are treated as one-sided together
     slow_cosines: int = 4  # cosines of each half of a condition
     least_left: float = 0.05  # share of the noise that a fit must leave in a direction for it to be tested
+    # data that rest on a simulation
+    preparations: int = 2  # times that they are prepared anew with what fits them, before causes are looked for
+    prepared_better: float = 0.02  # share of the misfit that it must take away
     # search
     most_causes: int = 8  # where the search ends
     most_pairs: int = 4  # pairs that are tried
@@ -106,6 +109,9 @@ class InferenceRules:
     decisive: float = 100.0
     """Likelihood ratio by which what was declared of a machine of feed axes is wrong where no condition left out tells.
     Gains that were right reached 42 and 50 beside friction that nobody declared, gains 17 to 20 % off 200 to 310."""
+    much: float = 1.5
+    """Squares over noise that a fit leaves from which what no condition left out bears out is not put down to what the
+    model misses: healthy axes on guideways of elements that slip left 1.4 at most."""
     collinear: float = 0.95  # cosine of two signatures above which they count as one
     # what was declared, and what matters
     contradicted: float = 0.001  # p-value of a pull beyond what was declared: 3.3 standard deviations

@@ -101,6 +101,17 @@ def diagnose(
         for last in (not family.prepares_data, False, True):
             bench, apart = _prepared(family, conditions, seed, progress, held_out, helpers, worth)
             bench.known = known
+            for _ in range(RULES.preparations if family.decisive > 0.0 and not assumed and not last else 0):
+                # What was put right by a simulation that is off leads a search to what does the same to all of it.
+                null = bench.null()
+                if not null.converged or not (bench.bad(null) or _contradicted(bench, null, worth)):
+                    break
+                anew = family.as_found(bench.model.values(null.u))
+                again, left_out = _prepared(family, anew, seed, progress, held_out, helpers, worth)
+                again.known = dict(bench.fits)
+                if not again.null().converged or again.null().chi2 > (1.0 - RULES.prepared_better) * null.chi2:
+                    break
+                bench, apart, conditions = again, left_out, anew
 
             def promised(at: Fit, bench: Bench = bench) -> float:
                 return sum(r.ratio - RULES.penalty * len(r.values[0]) for r in _contradicted(bench, at, worth))
@@ -153,7 +164,8 @@ def diagnose(
                 elif _empty(at, found, declared) or _too_small(again, at, found, declared, worth):
                     declared = []
                 elif not _borne_out(again, found, declared):
-                    declared, unproven = [], declared
+                    told = bench.decided(at, at.chi2 - found.chi2)
+                    declared, unproven = [], declared if told else []
                 elif (other := _instead(bench, at, again.fits.get(at.causes, found), declared, steps)) is not None:
                     at, declared = bench.fits[other.causes], []
                     steps = [replace(s, accepted=True, reason="") if s is other else s for s in steps]
@@ -293,6 +305,7 @@ def _instead(bench: Bench, at: Fit, found: Fit, released: Sequence[Released], st
     fits = {s.causes: bench.fits[s.causes] for s in refused}
     # Held-out conditions speak against a cause if its gain is below zero by more than it scatters.
     able = [s for s in refused if s.gain is not None and (2.0 * s.gain.db > s.gain.low or alike(at, fits[s.causes]))]
+    able = [s for s in able if bench.decided(at, s.ratio) or bench.proves(s.gain)]
     able = [s for s in able if fits[s.causes].converged and not on_bound(bench.model, fits[s.causes], s.causes)]
     merit = {s.causes: fits[s.causes].chi2 + charge(bench.model, s.causes) for s in able}
     fewer = {s.causes: parameters_of(bench.model, s.causes) - known < count for s in able}
@@ -311,7 +324,9 @@ def _stand_ins(given: Bench, at: Fit, released: Sequence[Released], worth: Worth
     model, wrong = given.model, {g for r in released for g in r.given}
     other = [f for c, f in given.fits.items() if len(c) == 1 and model.causes[c[0]].id not in wrong]
     alone = [f for f in other if f.converged]
+    null = given.null()
     near = [f for f in alone if f.chi2 + charge(model, f.causes) < most and not on_bound(model, f, f.causes)]
+    near = [f for f in near if given.decided(null, null.chi2 - f.chi2)]
     found = [f for f in near if not _contradicted(given, f, worth) and not _at_limit(given, f)]
     return sorted(found, key=lambda f: f.chi2 + charge(model, f.causes))
 
@@ -470,9 +485,10 @@ def _borne_out(bench: Bench, at: Fit, released: Sequence[Released]) -> bool:
         return True
     gain = compare(smaller, larger, bench.rng(12, len(at.causes)))
     gain = gain if chosen else replace(gain, held_out="blocks of values")
-    same = not gain.proven and alike(as_given, at)
+    proven, counts = bench.proves(gain), before.decided(as_given, as_given.chi2 - at.chi2)
+    same = not proven and alike(as_given, at)
     if same and not bench.model.family.supple:
-        return not bench.bad(at)
+        return counts and not bench.bad(at)
     decided = as_given.converged and as_given.chi2 - at.chi2 > RULES.decisive and gain.db > -gain.sd
     if same:
         return decided and not (bench.bad(at) and bench.matters(at, 1.0))
@@ -480,7 +496,7 @@ def _borne_out(bench: Bench, at: Fit, released: Sequence[Released]) -> bool:
         return True
     sd = dict(zip(at.free.tolist(), deviations(bench, at, None).tolist(), strict=True))
     beyond = any(abs(at.u[j]) > RULES.interval * sd[j] for r in released for j in r.values[0])
-    return gain.db > 0.0 if beyond and chosen else gain.proven
+    return gain.db > 0.0 if beyond and chosen and counts else proven
 
 
 def alike(one: Fit, other: Fit) -> bool:
@@ -494,15 +510,18 @@ def alike(one: Fit, other: Fit) -> bool:
 def as_declared(bench: Bench, at: Fit, released: Sequence[Released]) -> tuple[Bench, Fit]:
     """Return the same data under the baseline as it was declared, and their fit with the same causes.
 
-    It begins at the fit with what was released: one that had found another minimum would convict what was declared.
+    It begins at the fit with what was released: one that had found another minimum would convict what was declared. So
+    would this one on a dry guideway, which has many: there the better of both counts.
     """
     before = _as_given(bench, released)
     start = at.u.copy()
     start[~np.isin(np.arange(start.size), before.model.free(at.causes))] = 0.0
     found = fit(before.model, before.target, at.causes, start)
-    if found.converged:
+    if found.converged and bench.model.family.decisive == 0.0:
         return before, found
     other = before.extend(before.null(), at.causes)
+    if found.converged and other.converged:
+        return before, min(found, other, key=lambda f: f.chi2)
     return before, found if found.promised > 0.0 and found.chi2 < other.chi2 else other
 
 

@@ -375,6 +375,23 @@ class Bench:
         """Whether a fit leaves more than noise: then a cause is looked for far from its null too."""
         return self.misfit(at).p_value < RULES.band
 
+    def decided(self, at: Fit, ratio: float) -> bool:
+        """Whether a likelihood ratio against a fit counts that no condition left out bears out (`Abilities.decisive`).
+
+        Beside what a fit leaves beyond noise a ratio is counted over that; where it leaves much, all counts.
+        """
+        decisive, over = self.model.family.decisive, max(self.misfit(at).ratio, 1.0)
+        return decisive == 0.0 or over > RULES.much or ratio > decisive * over
+
+    @property
+    def least_gain(self) -> float:
+        """Gain [dB] on what was held out that is asked for where a model is known to miss something."""
+        return RULES.least_within if self.model.family.decisive > 0.0 else 0.0
+
+    def proves(self, gain: Gain | None) -> bool:
+        """Whether a gain on what was held out proves a cause."""
+        return gain is not None and gain.proven and gain.db >= self.least_gain
+
     def matters(self, at: Fit, share: float) -> bool:
         """Whether what a fit leaves may matter: a share of what is material is left of it besides noise."""
         if self.worth.material == 0.0:

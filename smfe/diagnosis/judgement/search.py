@@ -262,10 +262,11 @@ def _passes(bench: Bench, at: Fit, candidate: Fit, added: tuple[int, ...], limit
         reason = f"{bound} ends on the limit of what is physical"
     elif gain is None and not usual:
         reason = "no condition can be held out that would test it"
-    elif gain is not None and not gain.proven and not usual:
+    elif gain is not None and not bench.proves(gain) and not usual:
+        least = max(gain.needed, bench.least_gain)
         reason = (
-            f"gain on held-out conditions {gain.db:.1f} dB, {gain.low:.1f} dB at the least; needed are "
-            f"{gain.needed:g} dB, and more than 0 dB at the least"
+            f"gain on held-out conditions {gain.db:.1f} dB, {gain.low:.1f} dB at the least; needed are {least:g} dB, "
+            "and more than 0 dB at the least"
         )
     change, ratio, passed = "+ " + bench.title(added), at.chi2 - candidate.chi2, limit + charge(bench.model, added)
     steps.append(Step(candidate.causes, change, ratio, passed, gain, candidate.chi2, not reason, reason))

@@ -51,6 +51,9 @@ TIMED = 0.5
 
 PAIRS = (("friction", "velocity_gain"), ("friction", "delay"), ("friction", "micro_slip"), ("posture", "gain"))
 
+GAINS = ("velocity_gain", "integral_time", "position_gain")
+"""Effects of a gain of the control, which nobody sets to none."""
+
 DRY = ("friction_level", "asymmetry")
 """Effects of a friction that the campaign declares."""
 
@@ -110,7 +113,7 @@ def planted(b: Bench, name: str, size: float) -> Bench:
         return replace(b, truth=friction(1.0 + size, 1.0 + size))
     if name == "asymmetry":
         return replace(b, truth=friction(1.0 + 0.5 * size, 1.0 - 0.5 * size, True))
-    if name in ("velocity_gain", "integral_time", "position_gain"):
+    if name in GAINS:
         key = {"velocity_gain": "kp", "integral_time": "ti", "position_gain": "kv"}[name]
         return replace(b, truth=servos(**{key: 1.0 + size}))
     if name == "delay":
@@ -202,6 +205,9 @@ TOLERANCES = {
 
 HIDDEN_BY_TOLERANCES = ("gain", "force_gain", "velocity_gain", "integral_time", "position_gain", "delay")
 """Effects that are something a campaign gives, which is off within its tolerance in every campaign."""
+
+LEAST_GAIN = -0.5
+"""Least that a gain of the control is off: where that is not told, or no matter, it is larger than it should be."""
 
 MOST = {"asymmetry": 0.8, "friction_level": 1.0, "micro_slip": 0.5, "cubic": 0.3}
 """Difference of the directions over their mean, when one has two and a half times the friction of the other; a friction
@@ -382,7 +388,14 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
     plan = visits(rng)
     if set(hidden) & set(DRY):
         plan = slowly(plan)
+    if dry and "posture" in hidden:  # at rest what its drive pulls does to a dry guideway what a joint does
+        fastest = max(v.feed for v in plan)
+        plan = [replace(v, feed=fastest) if v.name == "place" else v for v in plan]
     signs = {name: float(rng.choice([-1.0, 1.0])) for name in sorted(EFFECTS | OUTSIDE)}
+    if "asymmetry" in hidden:  # what hits at rest show of it is little
+        most = signs["asymmetry"] * MOST["asymmetry"]
+        while cost_of(planted(base, "asymmetry", most), base, plan) < bench.CLEARLY * bench.MATERIAL:
+            base, plan = drawn(rng, dry), slowly(visits(rng))
     tools = bench.instruments(rng, RATE / int(rng.choice([2, 3, 4])))
     b, sizes, cost = base, {}, 0.0
     for name in hidden:
@@ -395,14 +408,19 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
         if name in ("cable", "temperature_walk"):
             cost = price(size)
         elif name in DRY:  # what a hit at rest breaks away is not in the cost, which is linear
-            size, cost = bench.raised(size, price, largest=4.0)
+            size, cost = bench.raised(size, price, largest=MOST[name] / what.size)
         else:
             size, cost = bench.raised(size, price, what.switch)
+            if name in GAINS and size < LEAST_GAIN:
+                size, cost = bench.raised(what.size, price)
         if name in (*HIDDEN_BY_TOLERANCES, *DRY, *BY_LEVEL):
             # Hits that break a dry guideway away at rest show that, and little of a joint.
             rubs = now.truth.friction.kind != "none"
             clear = [v for v in plan if name not in BY_LEVEL or v.feed != 0.0 or not rubs]
             least = told(now, clear, name, tools, math.copysign(1.0, size))
+            if name in GAINS and size < 0.0 and -least < LEAST_GAIN:
+                size = -size
+                least = told(now, clear, name, tools, 1.0)
             least = min(least, MOST.get(name, math.inf))
             size = math.copysign(max(abs(size), least), size)
             cost = price(size)
@@ -412,6 +430,7 @@ def campaign(path: Path, seed: int, hidden: tuple[str, ...], scale: float = 1.0)
     slowest = min(abs(v.feed) for v in plan if v.feed != 0.0)
     spared = [v.name for v in plan if set(hidden) & set(DRY) and abs(v.feed) == slowest]
     spared += [v.name for v in plan if set(hidden) & set(BY_LEVEL) and v.feed != 0.0 and v.level > plan[0].level]
+    spared += [v.name for v in plan if "posture" in hidden and v.place != 0.0]
     _write(path, b, base, plan, sizes, tools, rng, spared)
     ids = {name: (EFFECTS | OUTSIDE)[name].causes for name in hidden}
     drawn_: dict[str, float | str] = {"snr": tools.snr, "friction": b.truth.friction.kind, "times": b.times}

@@ -368,6 +368,23 @@ def test_declared_friction_is_known_within_some_per_cent_and_what_it_changes_cou
     assert found.squared_change(seen, values, other, misfit) > 2.0 * found.squared_size(seen, misfit)
 
 
+@pytest.mark.parametrize(("speed", "gain", "unsteady"), [(5e-3, 1.0, True), (5e-3, 3.0, False), (50e-3, 1.0, False)])
+def test_an_axis_sticks_and_slips_by_itself_where_its_friction_falls_faster_than_its_control_damps(
+    speed, gain, unsteady
+):
+    """At 4.2 mm/s friction of ``(Fs - Fc) exp(-v/vs)`` drives by 4.3 kN s/m with a Stribeck speed of 5 mm/s, by 0.9
+    with one of 50 mm/s; the velocity gain of K1 damps by 3.3 kN s/m."""
+    first = baseline("stribeck")
+    servos = {name: replace(s, Kp=gain * s.Kp) for name, s in first.servos.items()}
+    dry = {**first.known, "coulomb": 41.0, "static": 90.0, "stribeck_speed": speed}
+    condition = nominal(250.0 * MM_MIN, controller="K1")
+    found = MachineFrfs(replace(first, known=dry, servos=servos), (condition,))
+    assert found.sticks_and_slips(condition) == unsteady
+    assert not found.sticks_and_slips(nominal(0.0, controller="K1"))
+    wet = MachineFrfs(baseline("viscous"), (condition,))
+    assert not wet.sticks_and_slips(condition)
+
+
 def test_lines_near_the_mains_are_not_as_quiet_as_their_neighbours():
     rng, f = np.random.default_rng(3), np.arange(20.0, 90.0, 0.5)
     each = 1e-8 * (1.0 + 1e-3 * rng.standard_normal((4, f.size, 2)) @ np.array([1.0, 1j]))

@@ -41,7 +41,8 @@ def test_noise_that_was_measured_is_known_where_more_than_it_is_allowed_for(
     bounded: bool, off: float, along: float
 ) -> None:
     """Six thousand values know a scatter within 2 %; errors of a prediction that nothing whitens are no noise."""
-    family = SimpleNamespace(model_error=off, roughness=0.0, bounded_noise=bounded, measured_noise=lambda c: None)
+    noise = {"bounded_noise": bounded, "measured_noise": lambda c: None}
+    family = SimpleNamespace(model_error=off, roughness=0.0, decisive=0.0, **noise)
     own = dict.fromkeys(range(7), 6048.0)
     model = SimpleNamespace(family=family, conditions=[None] * 7, noise_knowledge=NoiseKnowledge(math.inf, own))
     assert _along(model, list(range(7))) == along  # type: ignore[arg-type]

@@ -1,5 +1,7 @@
 """Verdicts: which rivals the data exclude."""
 
+from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,7 +9,9 @@ import pytest
 
 from smfe.diagnosis.inference.cross_validation import Gain
 from smfe.diagnosis.inference.misfit import Misfit
+from smfe.diagnosis.inference.rules import RULES
 from smfe.diagnosis.judgement import diagnose, verdict
+from smfe.diagnosis.judgement.hypotheses import Bench
 from smfe.diagnosis.judgement.search import Step
 
 
@@ -38,11 +42,35 @@ def test_what_explains_all_and_cannot_be_tested_asks_for_data_and_a_pair_does_no
         misfit=lambda f: Misfit(misfits[f.name], 1.0, 1.0, {0: 1.0}),
         words=str,
         model=None,
+        decided=lambda *_: True,
     )
     monkeypatch.setattr(verdict, "on_bound", lambda *_: "")
     monkeypatch.setattr(verdict, "changing", lambda *_: None)
     at = SimpleNamespace(converged=True, causes=(), name="null")
     assert verdict._of_baseline(bench, at, steps, []).verdict == said
+
+
+@pytest.mark.parametrize(
+    ("ratio", "left", "said"),
+    [(53.0, 1.03, False), (115.0, 1.4, False), (115.0, 1.03, True), (53.0, 2.0, True)],
+)
+def test_what_a_model_of_a_dry_guideway_misses_convicts_nothing_that_conditions_left_out_do_not_bear_out(
+    monkeypatch, ratio, left, said
+):
+    """A likelihood ratio of a hundred, over what is left, does; and where much is left nothing is put down to that."""
+    family = SimpleNamespace(decisive=RULES.decisive)
+    bench = SimpleNamespace(model=SimpleNamespace(family=family), misfit=lambda _: Misfit(1e-4, left, 1.0, {0: 1.0}))
+    bench.words, bench.fits = str, {(1,): "curve"}
+    bench.decided, bench.least_gain = partial(Bench.decided, bench), RULES.least_within
+    bench.proves = partial(Bench.proves, bench)
+    monkeypatch.setattr(verdict, "on_bound", lambda *_: "")
+    monkeypatch.setattr(verdict, "changing", lambda *_: None)
+    refused = Step((1,), "", ratio, 22.0, Gain(2.5, 2.8, 0.1, 0.4, -6.0), 10.0, False, "refuted")
+    at = SimpleNamespace(converged=True, causes=())
+    reason = verdict._of_baseline(bench, at, [refused], []).reason
+    assert ("is refused" in reason) == said
+    proven = replace(refused, gain=Gain(13.0, 2.0, 1.0, 0.9, 7.0))
+    assert "is refused" in verdict._of_baseline(bench, at, [proven], []).reason
 
 
 @pytest.mark.parametrize(("size", "said"), [(0.01, "consistent"), (0.2, "insufficient_data")])
