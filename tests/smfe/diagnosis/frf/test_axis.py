@@ -467,6 +467,15 @@ def test_a_friction_that_is_a_quarter_less_than_declared_is_named_alone(tmp_path
     assert levels[0] == pytest.approx(-24.1, abs=2.0)
 
 
+@pytest.mark.exam
+def test_a_velocity_gain_that_is_lower_than_given_is_told_from_friction_on_a_dry_guideway(tmp_path):
+    """Hits put right by the control as it was given looked like friction that differs between the directions."""
+    hidden = imperfect.campaign(tmp_path / "axis", 22_210_002, hidden_of("axis", 22_210_002, "velocity_gain")).hidden
+    assert hidden["velocity_gain"] == pytest.approx(-0.128, abs=1e-3)
+    found = smfe.diagnose(tmp_path / "axis" / "campaign.toml")
+    assert (found.verdict, [c.id for c in found.causes]) == ("named", ["servo_gains"])
+
+
 @pytest.mark.slow
 def test_a_healthy_axis_whose_guideway_slips_element_by_element_is_consistent(tmp_path):
     """With a bristle alone it was held to have other friction in each direction."""
