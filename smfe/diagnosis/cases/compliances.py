@@ -132,8 +132,7 @@ def _axis_family(
             )
             advice = f"left out of the comparison; hit {RULES.fewest_hits} times or more"
             # What was hit as it should be, but found a guideway otherwise, is no fault of who hit.
-            along = found[m.name].tables["hits"].query("excitation == @axis and not used")
-            struck = hits + int(along["reason"].str.startswith(UNLIKE).sum())
+            struck = hits + sum(str(reason).startswith(UNLIKE) for reason in _unused(found[m.name], axis)["reason"])
             level = note if struck >= RULES.fewest_hits else warning
             few.append(level("few_hits", m.name, f"{evidence} from the machine", advice))
             continue
@@ -153,7 +152,7 @@ def _axis_family(
     unsteady = [c.name for c in family.conditions if family.sticks_and_slips(c)]
     if 0 < len(unsteady) < len(conditions):
         said = "as declared, its friction falls so fast with speed at this feed that the axis sticks and slips"
-        told = "left out of the comparison, for no hit finds it as another did; measure faster, or declare its friction"
+        told = "left out of the comparison, for no hit finds it as another did; measure faster, or declare what it has"
         few += [note("low_speed_friction", name, said, told) for name in unsteady]
         family = replace(family, conditions=tuple(c for c in family.conditions if c.name not in unsteady))
     return family, tuple(few)
@@ -275,7 +274,7 @@ def _hits_used(found: Identification, axis: str) -> str:
     """Say how many hits along an axis are used, and why the others are not."""
     hits = found.tables["hits"]
     along = hits[hits["excitation"] == axis]
-    out = along[~along["used"].astype(bool)]
+    out = _unused(found, axis)
     why = "; ".join(f"hit {n} of {file}: {reason}" for n, file, reason in out[["hit", "file", "reason"]].values)
     return f"{len(along) - len(out)} of {len(along)} hits are used" + (f" ({why})" if why else "")
 
@@ -290,6 +289,11 @@ def _too_few(found: Mapping[str, Identification], axes: Sequence[str]) -> str:
         if len(_used(one, axis)) < RULES.fewest_hits
     ]
     return "; " + "; ".join(every) if every else ""
+
+
+def _unused(found: Identification, axis: str) -> pd.DataFrame:
+    hits = found.tables["hits"]
+    return hits[(hits["excitation"] == axis) & ~hits["used"].astype(bool)]
 
 
 def _used(found: Identification, axis: str) -> pd.DataFrame:

@@ -38,7 +38,7 @@ def vibrating_line(verdict: ChatterVerdict, teeth: int) -> float:
     peak = peaks[np.argmax(height[peaks])]
     highest = float(frequency[peak])
     # What was judged repeats no order, however near it stands to one.
-    if height[np.abs(frequency - found) <= resolved].max(initial=0.0) >= height[peak]:
+    if np.interp(found, frequency, height) >= height[peak]:
         return found
     around = np.arange(-RULES.passings_away, RULES.passings_away + 1)
     lines = np.abs(found + turn * teeth * around)[:, None] / np.array(RULES.harmonics_of_chatter)

@@ -111,7 +111,7 @@ class InferenceRules:
     Gains that were right reached 42 and 50 beside friction that nobody declared, gains 17 to 20 % off 200 to 310."""
     much: float = 1.5
     """Squares over noise that a fit leaves from which what no condition left out bears out is not put down to what the
-    model misses: healthy axes on guideways of elements that slip left 1.4 at most."""
+    model misses: of healthy axes on guideways of elements that slip, seven that were looked at left 1.4 at most."""
     collinear: float = 0.95  # cosine of two signatures above which they count as one
     # what was declared, and what matters
     contradicted: float = 0.001  # p-value of a pull beyond what was declared: 3.3 standard deviations

@@ -60,7 +60,9 @@ def diagnose(
 ) -> Finding:
     """Diagnose a baseline.
 
-    Where the data of a family rest on a simulation (`Family.prepares_data`) and a cause was found, they are prepared
+    Where the data of a family rest on a simulation (`Family.prepares_data`) that is known to miss something
+    (`Abilities.decisive`), they are prepared anew with what fits them before causes are looked for, as long as that
+    leaves more than noise and then leaves less. Where they rest on one and a cause was found, they are prepared
     once more, with that cause, and searched again from the fits that are known by then; a third time if that search
     finds other causes. Where the data contradict what was declared, that is released and all searched once more; it
     stays so if conditions that no fit uses bear it out. What was declared wrongly also stands in for causes that fit no

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from exam.records import baseline
@@ -24,6 +25,7 @@ from smfe.diagnosis.cases.compliances import case_of
 from smfe.diagnosis.frf.axis import MachineFrfs
 from smfe.diagnosis.frf.noise import compared, excitation_of
 from smfe.identification.errors.result import Identification
+from smfe.identification.hammer.direction import UNLIKE
 from smfe.identification.hammer.hammer import Averaging, identify_hammer
 from smfe.identification.measurement import cached_identification
 from smfe.records import write_record_netcdf
@@ -126,7 +128,12 @@ def test_hits_are_kept_and_a_measurement_of_two_is_left_out_and_named(tmp_path: 
     assert compared.name == name_of(Plan())
     assert len(compared.data.hits.force) == 3
     (few,) = case.suspects
-    assert (few.cause, few.where) == ("few_hits", name_of(Plan(feed=500.0)))
+    assert (few.cause, few.level, few.where) == ("few_hits", "warning", name_of(Plan(feed=500.0)))
+    # A third that only found the guideway otherwise is no fault of who hit.
+    two = found[name_of(Plan(feed=500.0))].tables
+    other = two["hits"].iloc[:1].assign(used=False, reason=f"{UNLIKE} x")
+    two["hits"] = pd.concat([two["hits"], other], ignore_index=True)
+    assert [few.level for few in case_of(campaign, found, as_measured=True).suspects] == ["note"]
     hits = found[name_of(Plan())].tables["hits"]
     hits["used"] = [True, True, False]
     hits["reason"] = ["", "", "double hit: 25 N after 28 ms"]
