@@ -28,15 +28,15 @@ from smfe.modes.model_order import OrderRules, choose, fit_poles, pair_distance
 from smfe.modes.pole_fit import PoleFit, remainder_modes, unit_mode
 from smfe.modes.response_matrix import Curves, ResponseMatrix, curves_of, matrix_of
 from smfe.modes.rules import RULES
-from smfe.modes.shapes import ShapeFit, components, fit_shapes
+from smfe.modes.shapes import ShapeFit, components, fills_up, fit_shapes
 from smfe.modes.stabilisation import Stabilisation, StabilityRules, stabilisation
 from smfe.modes.state_space import StateSpace, energy_given, place_matrix, state_space
 from smfe.modes.unexplained import resolution, unexplained
 
 Row = tuple[float, float, float, Real, Real]
-"""Frequency [Hz], damping ratio, stiffness [N/m] and direction of a mode, relative deviations of the first three."""
+"""Frequency [Hz], damping ratio, stiffness [N/m] and direction of a mode; their deviations (`ModalFit.doubt`)."""
 
-STAND_IN = np.array([0.0, 0.0, 1.0])
+STAND_IN = np.array([0.0, 0.0, 1.0, 0.0])
 """Deviations of what is no mode of the machine but stands for what the modes leave out: its size is what was found."""
 
 INTERVAL = 1.96
@@ -158,10 +158,10 @@ class ModalFit:
         return ModalModel(*(np.array([row[k] for row in rows]) for k in range(4)))
 
     def doubt(self, whole: bool = False) -> Real:
-        """Return relative standard deviations of frequency, damping and stiffness of `modal_model`, shape (M, 3).
+        """Return standard deviations of what `modal_model` has, shape (M, 4).
 
-        What only stands for what the modes leave out has its frequency and damping by convention, with a deviation of
-        zero.
+        Relative ones of frequency, damping and stiffness; the largest of a component of the direction [rad]. What only
+        stands for what the modes leave out has its frequency and damping by convention, with a deviation of zero.
         """
         return np.array([row[4] for row in self._rows(whole)])
 
@@ -244,7 +244,7 @@ def fit_modes(
         free = choose(curves, stable.candidates, rules.order)
     else:
         free = fit_poles(curves, np.asarray(poles, dtype=float).reshape(-1, 2))
-    is_mode = _are_modes(free.poles, free.pole_std, curves)
+    is_mode = _are_modes(free.poles, free.pole_std, curves) & ~fills_up(free)
     if not is_mode.any():
         raise InputError(
             f"no mode of its own lies between {curves.frequency[0]:.4g} and {curves.frequency[-1]:.4g} Hz: what is "
@@ -335,7 +335,8 @@ def _mode_rows(shapes: ShapeFit, keep: NDArray[np.bool_]) -> list[Row]:
                 natural, damping = (float(value) for value in shapes.poles[k])
                 of = (natural, damping, float(shapes.stiffness[k]))
                 doubt = np.array([shapes.std[n][k] for n in ("frequency", "damping", "stiffness")]) / of
-                out.append((natural, damping, 1.0 / size, _in_axes(shapes.curves, turned), doubt))
+                turn = float(np.max(shapes.std["direction"][k][_at_tool(shapes.curves)]))
+                out.append((natural, damping, 1.0 / size, _in_axes(shapes.curves, turned), np.append(doubt, turn)))
     return out
 
 
@@ -492,7 +493,13 @@ def _warnings(fit: ModalFit) -> list[str]:
     elif fit.shapes.information > fit.free.information:
         out.append(
             f"real mode shapes explain the data less well than free residues (misfit {fit.shapes.misfit:.3g} against "
-            f"{fit.free.misfit:.3g}): damping that does not act in proportion, a servo, or noise that is underrated"
+            f"{fit.free.misfit:.3g}): hits or sensors that lean, channels that are off, damping that does not act in "
+            "proportion, or a servo; "
+            + (
+                "frequencies and damping are those of the free residues"
+                if fit.shapes.pole_std is not None
+                else "the difference is no more than noise makes"
+            )
         )
     if fit.shapes is not None and not _modes_of_band(fit.shapes).all():
         out.append(

@@ -108,6 +108,16 @@ class FitRules:
     """A mode is strong when its peak is above this share of the highest."""
     unresolved: float = 0.5
     """Standard deviation of a stiffness over it from which on it is not known at all."""
+    second_vector: float = 0.1
+    """Share of a mode's own compliance from which on a second vector is tried for its pole: hits that lean by 2 degrees
+    and channels 1 % off make up to 4 % of it."""
+    p_value_shapes: float = 1e-3
+    """Probability that noise makes real shapes as much worse than free residues, below which poles are held."""
+    not_real: float = 0.4
+    """Share of a residue that is neither real nor positive from which on it is that of no mode: ordinary errors of a
+    hammer test make less than 0.1."""
+    fills_up: float = 0.1
+    """Share of the response at its own frequency below which a pole of such a residue is no mode."""
     most_repeated: int = 3
     """Modes tried at frequencies that another mode has already, such as those of a symmetric machine."""
     no_shape: float = 0.3

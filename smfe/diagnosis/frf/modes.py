@@ -78,7 +78,8 @@ class FittedModes:
     """What a fit to a measured compliance knows of the modes of a baseline, which nobody declared then."""
 
     doubt: Real
-    """Relative standard deviations of the frequency, damping and stiffness of each mode, shape (M, 3)."""
+    """Standard deviations of each mode, shape (M, 4): relative ones of frequency, damping and stiffness; of the
+    direction [rad]."""
     of_band: NDArray[np.bool_]
     """Which are modes of the machine, (M,). The others stand for masses on their mounts, modes above the band, and
     what else a compliance needs to be described."""
@@ -145,9 +146,12 @@ class ModalFrfs(Abilities):
             found.append(Parameter("scale_error", "%", 0.0, 0.01, -0.9, 9.0, *more))
         else:
             # Hits and sensors of the measurement they come from lean as those of every other do.
-            turn = max(math.hypot(self.tolerances.setup_direction, self.tolerances.mounting_angle), LEAST_TURN)
-            for name in (*self._names["turn_a"], *self._names["turn_b"]):
-                found.append(Parameter(name, "deg", 0.0, 0.02, -0.5 * math.pi, 0.5 * math.pi, turn, 180.0 / math.pi))
+            least = max(math.hypot(self.tolerances.setup_direction, self.tolerances.mounting_angle), LEAST_TURN)
+            turns = [math.hypot(least, self.fitted.doubt[r, 3]) for r in self._own]
+            for which in ("turn_a", "turn_b"):
+                for name, turn in zip(self._names[which], turns, strict=True):
+                    limits = (-0.5 * math.pi, 0.5 * math.pi)
+                    found.append(Parameter(name, "deg", 0.0, 0.02, *limits, turn, 180.0 / math.pi))
         if len(self._places) > 1:
             for r, name in zip(self._own, self._names["damping_place"], strict=True):
                 more = (DAMPING_OVER_PLACE / self._reach, 100.0, "", True, f"change of the damping of mode {r + 1}")
@@ -168,7 +172,7 @@ class ModalFrfs(Abilities):
         if r not in self._own:
             more = (FILLING, 100.0, "", True, f"compliance of mode {r + 1}")
             return [Parameter(f"filling_{r + 1}", "%", 0.0, 0.05, -0.99, 9.0, *more)]
-        doubt = np.zeros(3) if self.fitted is None else self.fitted.doubt[r]
+        doubt = np.zeros(3) if self.fitted is None else self.fitted.doubt[r, :3]
         for (name, unit, start, step, shown), unsure in zip(
             (
                 ("frequency", "Hz", m.frequency[r], 0.01, 1.0),

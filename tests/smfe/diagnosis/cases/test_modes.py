@@ -107,16 +107,18 @@ def test_what_a_fit_found_nobody_declared(named: NamedModes, found: dict[str, Id
     assert not {c.id for c in of_fit.causes} & {"modal_mass", "cross_axis_coupling"}
     assert any(p.given == "modal_stiffness" for p in of_model.nuisances)
     assert {c.id for c in of_model.causes} >= {"modal_mass", "cross_axis_coupling"}
-    # Hits and sensors leaned when the modes were measured: their directions are as sure as that.
+    # Hits and sensors leaned when the modes were measured: their directions are as sure as that, and as the fit.
     lean = math.hypot(of_fit.tolerances.setup_direction, of_fit.tolerances.mounting_angle)
     turns = [p for p in of_fit.nuisances if p.name.startswith("turn_")]
-    assert [p.prior for p in turns] == [pytest.approx(lean)] * 2 * 3
     assert named.fitted is not None
+    each = [math.hypot(lean, d) for d in named.fitted.doubt[named.fitted.of_band, 3]]
+    assert [p.prior for p in turns] == pytest.approx([*each, *each])
+    assert all(0.0 < d < 0.01 for d in named.fitted.doubt[named.fitted.of_band, 3])
     own = named.fitted.of_band
     assert own.sum() >= 3
     # One per cent of noise leaves a stiffness unsure by less, and a stand-in nothing but its size.
     assert np.all(named.fitted.doubt[own][:3] < 0.1)
-    assert all(row.tolist() == [0.0, 0.0, 1.0] for row in named.fitted.doubt[~own])
+    assert all(row.tolist() == [0.0, 0.0, 1.0, 0.0] for row in named.fitted.doubt[~own])
 
 
 def test_what_only_stands_for_something_has_a_size_and_no_fate_of_its_own(
@@ -124,7 +126,7 @@ def test_what_only_stands_for_something_has_a_size_and_no_fate_of_its_own(
 ) -> None:
     """A second mode in the noise, and the masses and stiffer modes that a compliance needs, besides a mode."""
     model = ModalModel([40.0, 60.0, 1.0, 900.0], [0.02] * 4, [2e7, 4e9, 5e6, 6e9], [[1.0, 0.0, 0.0]] * 4)
-    doubt = np.array([[1e-4, 0.01, 0.02], [0.01, 0.5, 0.4], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
+    doubt = np.array([[1e-4, 0.01, 0.02, 0.1], [0.01, 0.5, 0.4, 0.9], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
     known = FittedModes(doubt, np.array([True, True, False, False]))
     family = replace(family_of(named, found), model=model, fitted=known)
     own = {p.name: p for p in family.nuisances if p.name.rpartition("_")[2].isdigit()}
@@ -132,6 +134,8 @@ def test_what_only_stands_for_something_has_a_size_and_no_fate_of_its_own(
         "frequency_1", "damping_1", "stiffness_1", "filling_2", "filling_3", "filling_4"
     ]  # fmt: skip
     assert own["stiffness_1"].prior == pytest.approx(math.hypot(SPREAD["stiffness"], 0.02) * 2e7)
+    lean = math.hypot(family.tolerances.setup_direction, family.tolerances.mounting_angle)
+    assert own["turn_a_1"].prior == pytest.approx(math.hypot(lean, 0.1))
     assert own["filling_3"].prior == 1.0
     drift = next(c for c in family.causes if c.id == "drift")
     assert [p.name for p in drift.parameters] == ["drift_11"]
@@ -156,7 +160,7 @@ def test_what_filled_up_one_measurement_and_is_in_no_other_convicts_nothing(
         [*family.model.frequency, 70.0], [*family.model.damping, 0.5], [*family.model.stiffness, real * largest],
         [*family.model.direction, [1.0, 0.0, 0.0]],
     )  # fmt: skip
-    doubt = np.vstack([family.fitted.doubt, [0.02, 0.4, 0.3]])
+    doubt = np.vstack([family.fitted.doubt, [0.02, 0.4, 0.3, 0.0]])
     filled = replace(family, model=model, fitted=FittedModes(doubt, np.append(family.fitted.of_band, False)))
     predicted = Predicted(filled, filled.conditions)
     target = Target({0: np.asarray(filled.conditions[0].observed)}, predicted.null())
