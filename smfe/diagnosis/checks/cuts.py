@@ -133,7 +133,11 @@ def tooth_suspects(
     amplitude = size[orders - 1]
     own = float(amplitude[teeth].max())
     usual = np.maximum(RULES.strongest_order * own, RULES.runout * own * pulse / pulse[teeth].max())
-    large = [int(n) for n in orders[~teeth & (amplitude > usual)] if name == "force" or _repeats(size, int(n))]
+    large = [
+        int(n)
+        for n in orders[~teeth & (amplitude > usual)]
+        if (name == "force" or _repeats(size, int(n), tool.teeth)) and not _chatters(size, int(n), tool.teeth)
+    ]
     if large:
         other = max(large, key=lambda n: float(size[n - 1]))
         yield warning(
@@ -145,10 +149,28 @@ def tooth_suspects(
         )
 
 
-def _repeats(size: Real, order: int) -> bool:
-    """Whether the second or third multiple of an order stands above its neighbours: teeth do that, a mode does not."""
-    near = [size[n - 1] / max(size[n - 2], size[n]) for n in (2 * order, 3 * order) if n < size.size]
-    return max(near, default=0.0) > RULES.stands_out
+def _repeats(size: Real, order: int, teeth: int) -> bool:
+    """Whether a further multiple of an order stands above its neighbours: teeth do that, a mode or a chatter does not.
+
+    Multiples of the declared teeth are there in any case.
+    """
+    further = [n for n in (2 * order, 3 * order, 4 * order) if n % teeth and n < size.size]
+    return any(size[n - 1] > RULES.stands_out * max(size[n - 2], size[n]) for n in further)
+
+
+def _chatters(size: Real, order: int, teeth: int) -> bool:
+    """Whether side lines stand a tooth passing frequency to either side of an order, as a cut that chatters has them.
+
+    Of fewer teeth than declared they would be multiples themselves.
+    """
+    if teeth % order == 0 or order + teeth >= size.size:
+        return False
+
+    def stands_out(n: int) -> bool:
+        beside = [size[m - 1] for m in (n - 1, n + 1) if m > 0 and m % teeth]
+        return bool(size[n - 1] > RULES.stands_out * max(beside))
+
+    return all(stands_out(abs(n)) for n in (order - teeth, order + teeth))
 
 
 def force_suspects(

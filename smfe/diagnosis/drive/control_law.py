@@ -357,7 +357,7 @@ def unlogged_command(
 
     A pulse is what stands out by ten standard deviations of the noise, by 2 % of the highest and by a share of the rms
     of the force, `material`, for three samples or more, of medians over five that leave edges where they are, with an
-    impulse of that share for 10 ms (clocks a part of a sample apart leave less where a move begins). It lasts as long
+    impulse of that share for 20 ms (clocks a part of a sample apart leave less where a move begins). It lasts as long
     as half of that stands out, so that noise does not break it up. Its height is the median. Of a smooth law a pulse
     lasts as long as its means are above half of it, and is as high as they become. Of a law whose integral part stands
     still at a limit only what is shorter than half a second is told.

@@ -82,7 +82,7 @@ class DriveRules:
     top: float = 0.9  # of the height of a pulse behind moving means, from which it counts as its height
     pulse_share: float = 0.02  # of the highest pulse, from which others count
     shortest_pulse: int = 3  # [samples]
-    shortest: float = 0.01  # time for which a material force has the least impulse of a pulse [s]
+    shortest: float = 0.02  # time for which a material force has the least impulse of a pulse [s]
     told: float = 5e-3  # standard deviation of the gains that an exact law shows [1]
     off: float = 3.0  # the same over the share that a law leaves: of twelve records the rms was 1.7, the worst 3.4
     means: tuple[float, ...] = (0.02, 1.0 / 60.0)  # moving means behind which gains are found: turns of the mains [s]

@@ -33,7 +33,7 @@ def test_a_drive_that_answers_late_gives_out_energy_and_is_no_clock_that_is_late
 def test_chatter_on_an_order_of_the_spindle_is_no_number_of_teeth(tmp_path: Path, observed: str, said: bool) -> None:
     """800 rpm, four teeth: chatter at 133.3 Hz lies on order 10, ten times as large as what the teeth make."""
     t = np.arange(24000) / 2000.0
-    sizes = {4: 1.0, 8: 0.7, 12: 0.5, 10: 15.0, 20: 1.0}
+    sizes = {4: 1.0, 8: 0.7, 12: 0.5, 10: 15.0, 20: 1.0, 30: 1.0}
     motion = sum(a * np.cos(2.0 * np.pi * 800.0 / 60.0 * n * t + n) for n, a in sizes.items())
     write_record_netcdf(make_record(t, {"acceleration": {"x": motion}}), tmp_path / "cut.nc")
     (tmp_path / "campaign.toml").write_text(
@@ -44,6 +44,21 @@ def test_chatter_on_an_order_of_the_spindle_is_no_number_of_teeth(tmp_path: Path
     )
     found = audit(load_campaign(tmp_path / "campaign.toml"))
     assert ("tooth_number" in {s.cause for s in found}) == said
+
+
+def test_side_lines_of_a_chatter_are_none_of_another_number_of_teeth(tmp_path: Path) -> None:
+    """What chatters on order 5 of three teeth is modulated by them: orders 2 and 8, and it has harmonics, too."""
+    t = np.arange(24000) / 2000.0
+    sizes = {3: 1.0, 6: 0.6, 9: 0.4, 5: 9.0, 2: 1.3, 8: 1.3, 10: 0.2}
+    motion = sum(a * np.cos(2.0 * np.pi * 800.0 / 60.0 * n * t + n) for n, a in sizes.items())
+    write_record_netcdf(make_record(t, {"acceleration": {"x": motion}}), tmp_path / "cut.nc")
+    (tmp_path / "campaign.toml").write_text(
+        "[campaign]\nname = 'order'\n"
+        "[tool]\ndiameter = '100 mm'\nteeth = 3\napproach_angle = '90 deg'\n"
+        "[[cutting_test]]\nfile = 'cut.nc'\nspindle_speed = '800 rpm'\ndepth_of_cut = '2 mm'\n"
+        "cut = 'down'\nwidth_of_cut = '30 mm'\nfeed_per_tooth = '0.1 mm'\n"
+    )
+    assert "tooth_number" not in {s.cause for s in audit(load_campaign(tmp_path / "campaign.toml"))}
 
 
 @pytest.mark.skipif("SMFE_DATA" not in os.environ, reason="needs the public data sets (SMFE_DATA)")

@@ -99,7 +99,13 @@ class TestChannels:
         ]
         # A record that vibrates has no say.
         loud = noisy_record(acceleration_z=0.7 + rng.standard_normal(16000))
-        assert [s.where for s in gravity_suspects([("here", in_g), ("there", loud)])] == ["here, acceleration_z"]
+        both = gravity_suspects([("here", in_g), ("too", in_g), ("there", loud)])
+        assert [s.where for s in both] == ["here, acceleration_z", "too, acceleration_z"]
+        # One quiet record among others tells gravity from no offset; nor do two that differ by 3 %.
+        assert not list(gravity_suspects([("here", in_g), ("there", loud)]))
+        more = noisy_record(acceleration_z=0.985 + 0.01 * rng.standard_normal(16000))
+        above = noisy_record(acceleration_z=1.013 + 0.01 * rng.standard_normal(16000))
+        assert not list(gravity_suspects([("here", more), ("there", above)]))
         # An offset of one record is no unit.
         other = noisy_record(acceleration_z=0.2 + 0.01 * rng.standard_normal(16000))
         assert not list(gravity_suspects([("here", in_g), ("there", other)]))
