@@ -59,7 +59,7 @@ def test_coulomb_friction_is_convicted_of_missing_stribeck_where_transition_feed
     assert values["stribeck_speed"] == pytest.approx(387.4, rel=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.exam
 def test_at_rest_and_at_fast_feeds_nothing_is_missed_and_the_next_experiment_is_a_transition_feed():
     plain = family(measured(Truth(), *forth(*FAST)), "coulomb")
     like, feeds = plain.conditions[-1], (2000.0, 1000.0, 250.0, 100.0, 25.0)

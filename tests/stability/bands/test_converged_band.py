@@ -116,9 +116,12 @@ def campaign(seed, measured):
     return int(((low <= depth) & (depth <= high))[known].sum()), int(known.sum())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("measured", "campaigns", "two_sigma"), [(False, 40, 0.08), (True, 12, 0.15)], ids=["modes", "record"]
+    ("measured", "campaigns", "two_sigma"),
+    [
+        pytest.param(False, 40, 0.08, marks=pytest.mark.slow, id="modes"),
+        pytest.param(True, 12, 0.15, marks=pytest.mark.exam, id="record"),
+    ],
 )
 def test_ninety_per_cent_of_the_true_limits_lie_in_the_band(measured, campaigns, two_sigma):
     """The five speeds of a campaign err together: of 40 campaigns a share of 90 % scatters by 4 %, of 12 by 7 %."""

@@ -75,7 +75,7 @@ def test_one_set_of_parameters_explains_hits_moves_and_limits_down_to_noise(whol
     assert np.mean(limits) < 2.0
 
 
-@pytest.mark.slow
+@pytest.mark.exam
 def test_all_evidence_knows_sliding_friction_better_than_compliances_alone(whole: Explained):
     alone = explained(whole.written, ())
     truth = whole.written.truth.friction

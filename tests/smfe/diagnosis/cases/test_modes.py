@@ -225,7 +225,7 @@ def away_at(excited, away):
     return np.interp(excited.frequency, F, away.imag)
 
 
-@pytest.mark.slow
+@pytest.mark.exam
 @pytest.mark.parametrize(
     ("what", "seed", "causes"),
     [("healthy", 17_410_001, []), ("drift", 17_410_003, ["drift"]), ("posture", 17_450_007, ["posture"])],

@@ -476,7 +476,7 @@ def test_a_velocity_gain_that_is_lower_than_given_is_told_from_friction_on_a_dry
     assert (found.verdict, [c.id for c in found.causes]) == ("named", ["servo_gains"])
 
 
-@pytest.mark.slow
+@pytest.mark.exam
 def test_a_healthy_axis_whose_guideway_slips_element_by_element_is_consistent(tmp_path):
     """With a bristle alone it was held to have other friction in each direction."""
     answer = imperfect.campaign(tmp_path / "axis", 13_701_002, ())
