@@ -368,7 +368,8 @@ def factor_suspects(compliances: Mapping[str, xr.Dataset], accused: Collection[s
             found = _constant_ratio(clear[one][axis], clear[two][axis])
             if found is not None and abs(found - 1.0) < 0.1:
                 agree[one], agree[two] = agree[one] + 1, agree[two] + 1
-            elif found is not None:
+            elif found is not None and min(turn := abs(np.angle(found)), np.pi - turn) < RULES.no_turn:
+                # No gain turns a phase by 70 degrees: that does an axis near sticking and slipping.
                 differ.append((one, two, axis, found))
     for one, two, axis, ratio in differ:
         wrong = [n for n in (one, two) if agree[n] == min(agree[one], agree[two])]

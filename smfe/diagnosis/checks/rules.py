@@ -27,7 +27,7 @@ class CheckRules:
     active: float = 0.05  # share of lines that give out energy above which a driving point is not passive
     slack: float = 0.02
     """Share of the magnitude, a degree of phase, up to which a line does not count as giving out energy."""
-    no_turn: float = 0.5  # angle of the ratio of two reciprocal entries up to which it may be a factor of units [rad]
+    no_turn: float = 0.5  # angle of a ratio of two compliances up to which it may be a factor of units or a gain [rad]
     same_factor: float = 0.3  # difference of the logarithms of two ratios up to which they may be one factor of units
     apart_entries: float = 0.2  # difference of two reciprocal entries over their size from which it is said
     beside: float = 0.3  # ... and over the direct entries from which that is a warning

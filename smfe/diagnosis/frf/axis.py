@@ -101,6 +101,11 @@ class MachineFrfs(Abilities):
         """Of a guideway that is declared to be dry: no law gives way before it slides as the machine does."""
         return INFERENCE_RULES.decisive if "coulomb" in self.baseline.known else 0.0
 
+    @property
+    def convicting(self) -> float:
+        """Refused causes of axes that were as declared reached 52."""
+        return INFERENCE_RULES.decisive
+
     def condition_degrees_of_freedom(self, condition: Condition) -> float:
         """Degrees of freedom with which the noise of a measured compliance is known."""
         return excited_of(condition).degrees_of_freedom

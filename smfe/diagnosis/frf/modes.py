@@ -36,6 +36,7 @@ from smfe.diagnosis.frf.workshop import (
     without_own_noise,
 )
 from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
+from smfe.diagnosis.inference.rules import RULES as INFERENCE_RULES
 
 SPREAD: dict[str, float] = {"frequency": 0.02, "damping": 0.3, "stiffness": 0.1}
 """Prior standard deviation of what the baseline says of a mode, relative."""
@@ -322,6 +323,11 @@ class ModalFrfs(Abilities):
             found.append(replace(c, data=wider, observed=None if seen is None else wider.whitened(seen)))
         count = len(self.conditions)
         return replace(self, conditions=tuple(found[:count]), proposals=tuple(found[count:]))
+
+    @property
+    def convicting(self) -> float:
+        """Refused causes of machines as declared reached 135, those that mattered had 2600 and more."""
+        return INFERENCE_RULES.decisive
 
     def condition_degrees_of_freedom(self, condition: Condition) -> float:
         """Degrees of freedom with which the noise of a measured compliance is known."""

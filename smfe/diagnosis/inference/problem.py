@@ -174,6 +174,14 @@ class Abilities(Protocol):
         """
         return 0.0
 
+    @property
+    def convicting(self) -> float:
+        """Likelihood ratio, over what is left, from which a refused cause that nothing else proves convicts a baseline.
+
+        0: any that noise does not reach does. A model of a machine that is as declared misses a little of it.
+        """
+        return self.decisive
+
     def measured_noise(self, condition: Condition) -> Real | None:
         """Return the standard deviation of the noise in whitened data that was measured, (n,); None: all of it.
 

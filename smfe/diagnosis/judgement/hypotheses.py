@@ -380,8 +380,15 @@ class Bench:
 
         Beside what a fit leaves beyond noise a ratio is counted over that; where it leaves much, all counts.
         """
-        decisive, over = self.model.family.decisive, max(self.misfit(at).ratio, 1.0)
-        return decisive == 0.0 or over > RULES.much or ratio > decisive * over
+        return self._above(self.model.family.decisive, at, ratio)
+
+    def convicts(self, at: Fit, ratio: float) -> bool:
+        """Whether a refused cause convicts a fit by its likelihood ratio alone (`Abilities.convicting`)."""
+        return self._above(self.model.family.convicting, at, ratio)
+
+    def _above(self, least: float, at: Fit, ratio: float) -> bool:
+        over = max(self.misfit(at).ratio, 1.0)
+        return least == 0.0 or over > RULES.much or ratio > least * over
 
     @property
     def least_gain(self) -> float:

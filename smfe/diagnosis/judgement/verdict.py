@@ -207,7 +207,7 @@ def _of_baseline(bench: Bench, at: Fit, steps: Sequence[Step], sizes: Sequence[D
     # misfit itself is more than noise.
     # What was taken in and dropped later, as a release has made it idle, was not refused.
     telling = [s for s in steps if _refused(s, at) and (left.p_value < RULES.band or _borne_out(s, at))]
-    telling = [s for s in telling if bench.decided(at, s.ratio) or bench.proves(s.gain)]
+    telling = [s for s in telling if bench.convicts(at, s.ratio) or bench.proves(s.gain)]
     if telling:
         refused = max(telling, key=lambda s: s.ratio - s.threshold)
         best = bench.words([k for k in refused.causes if k not in at.causes])

@@ -135,6 +135,12 @@ class TestCompliances:
         assert causes(found) == {cause}
         assert all(s.level == "fault" for s in found)
 
+    @pytest.mark.parametrize(("degrees", "accused"), [(180.0, True), (5.0, True), (-77.0, False)])
+    def test_no_gain_turns_a_phase_by_seventy_degrees(self, degrees: float, accused: bool) -> None:
+        turned = 1.5 * np.exp(1j * np.radians(degrees)) * MACHINE.matrix(F)
+        pair = {"a": compliance(MACHINE.matrix(F), 0.01), "b": compliance(turned, 0.01, 1)}
+        assert bool(list(factor_suspects(pair))) == accused
+
     def test_a_softer_machine_is_not_a_factor(self) -> None:
         softer = ModalModel(MACHINE.frequency * 0.94, MACHINE.damping * 1.2, MACHINE.stiffness * 0.8, MACHINE.direction)
         pair = {"idle": compliance(MACHINE.matrix(F), 0.01), "moving": compliance(softer.matrix(F), 0.01, 1)}

@@ -42,7 +42,7 @@ def test_what_explains_all_and_cannot_be_tested_asks_for_data_and_a_pair_does_no
         misfit=lambda f: Misfit(misfits[f.name], 1.0, 1.0, {0: 1.0}),
         words=str,
         model=None,
-        decided=lambda *_: True,
+        convicts=lambda *_: True,
     )
     monkeypatch.setattr(verdict, "on_bound", lambda *_: "")
     monkeypatch.setattr(verdict, "changing", lambda *_: None)
@@ -54,14 +54,15 @@ def test_what_explains_all_and_cannot_be_tested_asks_for_data_and_a_pair_does_no
     ("ratio", "left", "said"),
     [(53.0, 1.03, False), (115.0, 1.4, False), (115.0, 1.03, True), (53.0, 2.0, True)],
 )
-def test_what_a_model_of_a_dry_guideway_misses_convicts_nothing_that_conditions_left_out_do_not_bear_out(
+def test_what_a_model_of_a_machine_misses_convicts_nothing_that_conditions_left_out_do_not_bear_out(
     monkeypatch, ratio, left, said
 ):
     """A likelihood ratio of a hundred, over what is left, does; and where much is left nothing is put down to that."""
-    family = SimpleNamespace(decisive=RULES.decisive)
+    family = SimpleNamespace(decisive=RULES.decisive, convicting=RULES.decisive)
     bench = SimpleNamespace(model=SimpleNamespace(family=family), misfit=lambda _: Misfit(1e-4, left, 1.0, {0: 1.0}))
     bench.words, bench.fits = str, {(1,): "curve"}
-    bench.decided, bench.least_gain = partial(Bench.decided, bench), RULES.least_within
+    bench._above, bench.least_gain = partial(Bench._above, bench), RULES.least_within
+    bench.convicts = partial(Bench.convicts, bench)
     bench.proves = partial(Bench.proves, bench)
     monkeypatch.setattr(verdict, "on_bound", lambda *_: "")
     monkeypatch.setattr(verdict, "changing", lambda *_: None)
