@@ -48,7 +48,7 @@ from smfe.commands import diagnose as command
 SEEDS = {"null": 1_000, "effect": 20_000, "unknown": 40_000, "two": 60_000, "outside": 80_000, "sizes": 90_000}
 """First seed of each part of a trial exam, whose failures are looked at and repaired."""
 
-FRESH = 23_000_000
+FRESH = 25_000_000
 """What is added for the exam that counts: seeds that nothing was tuned on."""
 
 KEPT = Path("tests/exam/answers/campaigns.jsonl")
