@@ -35,7 +35,7 @@ from smfe.diagnosis.frf.workshop import (
     sensor_slopes,
     without_own_noise,
 )
-from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
+from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values, either_way
 from smfe.diagnosis.inference.rules import RULES as INFERENCE_RULES
 
 SPREAD: dict[str, float] = {"frequency": 0.02, "damping": 0.3, "stiffness": 0.1}
@@ -183,7 +183,8 @@ class ModalFrfs(Abilities):
             doubt,
             strict=True,
         ):
-            prior, low, high = math.hypot(self.spread[name], unsure) * start, 0.1 * start, 10.0 * start
+            spread = either_way(self.spread[name]) if name in self.stated else self.spread[name]
+            prior, low, high = math.hypot(spread, unsure) * start, 0.1 * start, 10.0 * start
             said = f"{'natural frequency' if name == 'frequency' else name} of mode {r + 1}"
             given = f"modal_{name}" if self.fitted is None else ""
             more = (prior, shown, given, name in self.stated, said)
