@@ -35,7 +35,7 @@ from smfe.diagnosis.frf.workshop import (
     sensor_slopes,
     without_own_noise,
 )
-from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values, either_way
+from smfe.diagnosis.inference.problem import Abilities, Cause, Condition, Parameter, Values
 from smfe.diagnosis.inference.rules import RULES as INFERENCE_RULES
 
 SPREAD: dict[str, float] = {"frequency": 0.02, "damping": 0.3, "stiffness": 0.1}
@@ -97,6 +97,15 @@ class Standing:
 
 AS_FIRST = Standing()
 """A machine as it was first measured."""
+
+
+def either_way(stated: float) -> float:
+    """Return the standard deviation, over what was declared, of a positive number that is stated within a relative one.
+
+    Who is 40 % too low declares 0.6 of what is there, which is 67 % more: a share of a positive number is a factor
+    either way (log-normal), and two standard deviations up are exp(2 s) - 1.
+    """
+    return 0.5 * math.expm1(2.0 * stated)
 
 
 def expected_of(model: ModalModel, excited: Excited, settings: Mapping[str, float | str]) -> Complex:

@@ -54,15 +54,6 @@ class Parameter:
             )
 
 
-def either_way(stated: float) -> float:
-    """Return the standard deviation, over what was declared, of a positive number that is stated within a relative one.
-
-    Who is 40 % too low declares 0.6 of what is there, which is 67 % more: a share of a positive number is a factor
-    either way (log-normal), and two standard deviations up are exp(2 s) - 1.
-    """
-    return 0.5 * math.expm1(2.0 * stated)
-
-
 @dataclass(frozen=True)
 class Cause:
     """Something that the baseline leaves out. At the null values of its parameters it leaves the baseline unchanged."""
