@@ -14,6 +14,7 @@ from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from process.errors import InputError
 from smfe.fleet.columns import Row, schema
 from smfe.kept import KEPT
 from smfe.results import read_groups, write_atomically
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 ROWS = "catalogue.parquet"
 """File of `KEPT` that holds the rows of one folder; and that of all, in the folder above."""
+
+SUM = "catalogue.sha256"
+"""File of `KEPT` that holds the checksum of the rows of one folder."""
 
 _OF = b"of"
 """Key under which the rows of a folder say which results they are of."""
@@ -41,6 +45,16 @@ def rows_of(folder: Path) -> list[Row]:
     InputError
         When a file of results cannot be read.
     """
+    try:
+        return _rows(folder)
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, csv.Error) as error:
+        raise InputError(
+            f"'{folder}': its results cannot be read any more ({type(error).__name__}: {error}); run the campaign "
+            "again with --fresh"
+        ) from error
+
+
+def _rows(folder: Path) -> list[Row]:
     said = _provenance(folder)
     started = {name: _day(when) for name, when in said.get("started", {}).items()}
     days = sorted(day for day in started.values() if day is not None)
@@ -77,23 +91,27 @@ def refused_rows(name: str, title: str, reason: str) -> list[Row]:
 
 
 def write_rows(folder: Path) -> Path:
-    """Write the rows of a folder of results into its `KEPT`, with what says which results they are of."""
+    """Write the rows of a folder of results into its `KEPT`, with their checksum and which results they are of."""
     import pyarrow as pa
     from pyarrow import parquet
 
     table = pa.Table.from_pylist(rows_of(folder), schema=schema())
     table = table.replace_schema_metadata({_OF: _results(folder).encode()})
-    return write_atomically(folder / KEPT / ROWS, lambda p: parquet.write_table(table, p))
+    written = write_atomically(folder / KEPT / ROWS, lambda p: parquet.write_table(table, p))
+    write_atomically(folder / KEPT / SUM, lambda p: p.write_text(_sum(folder), encoding="ascii"))
+    return written
 
 
 def are_written(folder: Path) -> bool:
-    """Return whether the rows of a folder are there, and those of the results that it holds."""
-    from pyarrow import ArrowException, parquet
+    """Return whether the rows of a folder are there as they were written, and those of the results that it holds."""
+    from pyarrow import parquet
 
     try:
-        said = parquet.read_schema(folder / KEPT / ROWS).metadata or {}
-    except (OSError, ArrowException):
+        if (folder / KEPT / SUM).read_text(encoding="ascii") != _sum(folder):
+            return False
+    except (OSError, ValueError):
         return False
+    said = parquet.read_schema(folder / KEPT / ROWS).metadata or {}
     return bool(said.get(_OF) == _results(folder).encode())
 
 
@@ -102,6 +120,10 @@ def read_rows(folder: Path) -> pa.Table:
     from pyarrow import parquet
 
     return parquet.read_table(folder / KEPT / ROWS, schema=schema()).replace_schema_metadata(None)
+
+
+def _sum(folder: Path) -> str:
+    return hashlib.sha256((folder / KEPT / ROWS).read_bytes()).hexdigest()
 
 
 def _results(folder: Path) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from process.errors import InputError
 from smfe.fleet.columns import COLUMNS, schema
-from smfe.fleet.rows import ROWS, are_written, read_rows, refused_rows, rows_of
+from smfe.fleet.rows import ROWS, are_written, read_rows, refused_rows, rows_of, write_rows
 from smfe.kept import KEPT
 from smfe.results import write_atomically
 
@@ -42,15 +42,32 @@ def write_catalogue(root: Path) -> Path:
     tables = []
     for folder in sorted(p for p in root.iterdir() if (p / KEPT).is_dir() and not p.name.startswith(".")):
         refused = folder / KEPT / REFUSED
-        if refused.is_file():
-            said = json.loads(refused.read_text(encoding="utf-8"))
-            rows = refused_rows(folder.name, said["campaign"], said["reason"])
-            tables.append(pa.Table.from_pylist(rows, schema=schema()))
-        elif are_written(folder):
-            tables.append(read_rows(folder))
+        try:
+            if refused.is_file():
+                rows = refused_rows(folder.name, *_refusal(refused, folder.name))
+            elif (folder / "provenance.json").is_file():
+                if not are_written(folder):
+                    write_rows(folder)
+                tables.append(read_rows(folder))
+                continue
+            else:
+                continue
+        except InputError as error:
+            # One folder that is damaged is one to doubt, and no end of the catalogue.
+            rows = refused_rows(folder.name, folder.name, str(error))
+        tables.append(pa.Table.from_pylist(rows, schema=schema()))
     # One chunk: how the rows came together must not show in the file.
     whole = pa.concat_tables(tables).combine_chunks() if tables else schema().empty_table()
     return write_atomically(root / ROWS, lambda p: parquet.write_table(whole, p))
+
+
+def _refusal(file: Path, name: str) -> tuple[str, str]:
+    """Return the campaign that was refused, and why, as far as that can still be read."""
+    try:
+        said = json.loads(file.read_text(encoding="utf-8"))
+        return str(said["campaign"]), str(said["reason"])
+    except (OSError, ValueError, LookupError, TypeError):
+        return name, f"'{file}' says that it was refused, but can no longer be read; run the campaign again"
 
 
 def read_catalogue(path: Path) -> pa.Table:
@@ -71,7 +88,7 @@ def read_catalogue(path: Path) -> pa.Table:
         raise InputError(f"'{path}' holds no {ROWS}; `smfe run CAMPAIGNS --out {path}` of several campaigns writes it")
     try:
         found = parquet.read_table(file)
-    except (OSError, ArrowException) as error:
+    except (OSError, ArrowException, ValueError) as error:
         raise InputError(f"'{file}' cannot be read as a catalogue ({error}); run the campaigns again") from error
     if missing := [name for name in COLUMNS if name not in found.column_names]:
         raise InputError(f"'{file}' is no catalogue of this program: it has no column {missing[0]}")

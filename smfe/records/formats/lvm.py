@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path
 from typing import Any, TextIO
@@ -19,13 +20,14 @@ from smfe.records.formats.table import Column, Format, Table, damaged, find_colu
 
 _KIND = "a LabVIEW measurement file"
 _WHOLE = 1 << 16
+_LINE = re.compile(rb"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _SHOWN = 3
 """Rows of a segment that tell how many columns it has."""
 
 
 @dataclass
 class _Part:
-    """A segment: its lines up to the names of its channels, the line its rows begin with, and how many there are."""
+    """A segment: its lines up to the names of its channels, the byte its rows begin at, and how many there are."""
 
     header: list[str]
     begin: int = 0
@@ -38,7 +40,7 @@ def read_tables(path: Path, wanted: Sequence[Column]) -> list[Table]:
 
 
 def read_segments(path: Path, wanted: Sequence[Column], block: int) -> list[Iterator[Table]]:
-    """Return the blocks of every segment; the file is gone through once for its headers, and once for each segment."""
+    """Return the blocks of every segment; the file is gone through once for its headers, and once for its rows."""
     with damaged(path, _KIND), _open(path) as stream:
         first = stream.readline()
         if not first.strip() and not stream.read(4096).strip():
@@ -63,8 +65,22 @@ def stated_units(path: Path) -> dict[str, str]:
     return found
 
 
-def _open(path: Path) -> TextIO:
-    return path.open(encoding="utf-8", errors="ignore")
+def _open(path: Path, begin: int = 0) -> TextIO:
+    """Return a file of text from a byte on; of thousands of segments each is gone to, not read up to."""
+    stream = path.open("rb")
+    stream.seek(begin)
+    return TextIOWrapper(stream, encoding="utf-8", errors="ignore")
+
+
+def _ended_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the byte behind each line of a text file, and the line, whatever ends it."""
+    end = 0
+    with path.open("rb") as stream:
+        for row in stream:
+            for raw in _LINE.findall(row) if b"\r" in row[:-2] else (row,):
+                end += len(raw)
+                text = raw.decode("utf-8", "ignore")
+                yield end, text.rstrip("\r\n") + "\n" if text.endswith(("\r", "\n")) else text
 
 
 def _layout(path: Path) -> tuple[list[str], list[_Part]]:
@@ -72,21 +88,20 @@ def _layout(path: Path) -> tuple[list[str], list[_Part]]:
     header: list[str] = []
     parts: list[_Part] = []
     separator, in_rows = "\t", False
-    with _open(path) as stream:
-        for number, line in enumerate(stream):
-            if number < 20 and line.startswith("Separator"):
-                separator = line.strip()[9]
-            if line in ("\n", f"{separator}\n"):
-                parts.append(_Part([line]))
-                in_rows = False
-            elif in_rows:
-                parts[-1].rows += 1
-            elif parts:
-                parts[-1].header.append(line)
-                in_rows = line.split(separator)[0] == "X_Value"
-                parts[-1].begin = number + 1
-            else:
-                header.append(line)
+    for number, (end, line) in enumerate(_ended_lines(path)):
+        if number < 20 and line.startswith("Separator"):
+            separator = line.strip()[9]
+        if line in ("\n", f"{separator}\n"):
+            parts.append(_Part([line]))
+            in_rows = False
+        elif in_rows:
+            parts[-1].rows += 1
+        elif parts:
+            parts[-1].header.append(line)
+            in_rows = line.split(separator)[0] == "X_Value"
+            parts[-1].begin = end
+        else:
+            header.append(line)
     return header, [part for part in parts if part.header[-1].startswith("X_Value")]
 
 
@@ -162,16 +177,16 @@ def _blocks(
     clock: tuple[float | None, float, tuple[str, ...]],
     block: int,
 ) -> Iterator[Table]:
-    with _open(path) as stream:
-        rows = islice(stream, part.begin, part.begin + part.rows)
+    with _open(path, part.begin) as stream:
+        rows = islice(stream, part.rows)
         while lines := list(islice(rows, block)):
             data: Real = np.atleast_2d(_parsed(prefix, lines)["data"])
             yield Table({column: np.ascontiguousarray(data[:, index]) for column, index in at.items()}, *clock)
 
 
 def _lines(path: Path, begin: int, count: int) -> list[str]:
-    with _open(path) as stream:
-        return list(islice(stream, begin, begin + count))
+    with _open(path, begin) as stream:
+        return list(islice(stream, count))
 
 
 def _parsed(prefix: str, lines: Sequence[str]) -> dict[str, Any]:

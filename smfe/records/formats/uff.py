@@ -183,20 +183,25 @@ def _table(path: Path, first: Function, columns: dict[str, Any], wanted: Sequenc
 def _segments(functions: Sequence[Function]) -> list[list[Function]]:
     """Deal functions out: those over one abscissa belong together, a name that occurs again begins another segment."""
     segments: list[list[Function]] = []
+    over: dict[object, list[list[Function]]] = {}
+    times: dict[object, int] = {}
     for function in functions:
-        for segment in segments:
-            if _same_axis(segment[0], function) and all(other.name != function.name for other in segment):
-                segment.append(function)
-                break
-        else:
-            segments.append([function])
+        axis = _axis_of(function)
+        # What has come n times over an abscissa is in the first n segments of it.
+        before = times.get((axis, function.name), 0)
+        times[axis, function.name] = before + 1
+        of_axis = over.setdefault(axis, [])
+        if before == len(of_axis):
+            of_axis.append([])
+            segments.append(of_axis[-1])
+        of_axis[before].append(function)
     return segments
 
 
-def _same_axis(a: Function, b: Function) -> bool:
-    if (a.abscissa, a.first, a.step, a.y.size, a.x is None) != (b.abscissa, b.first, b.step, b.y.size, b.x is None):
-        return False
-    return a.x is None or b.x is None or np.array_equal(a.x, b.x)
+def _axis_of(function: Function) -> tuple[object, ...]:
+    """Return what functions over one abscissa have in common."""
+    uneven = None if function.x is None else (np.asarray(function.x, dtype=np.float64) + 0.0).tobytes()
+    return function.abscissa, function.first, function.step, function.y.size, uneven
 
 
 def _rate(step: float) -> float:

@@ -32,6 +32,7 @@ from smfe.records import (
 )
 from smfe.records.align import align, shift
 from smfe.records.blocks import streams
+from smfe.records.formats import lvm as lvm_format
 
 RATE = 2000.0
 
@@ -402,6 +403,29 @@ class TestLabview:
             read_record(tmp_path / "r.lvm", LVM)
         np.testing.assert_allclose(records[1]["force"][0], [1, 2, 3, 4])
         np.testing.assert_allclose(records[1]["time"], np.arange(4) / RATE)
+
+    @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+    def test_segments_are_gone_to_whatever_ends_their_lines(self, tmp_path: Path, end: str) -> None:
+        (tmp_path / "r.lvm").write_bytes(lvm_text(segments=5).replace("\n", end).encode())
+        records = read_records(tmp_path / "r.lvm", LVM)
+        assert [r["force"].values[0].tolist() for r in records] == [[k, k + 1, k + 2, k + 3] for k in range(5)]
+
+    def test_of_many_segments_no_line_is_read_once_for_each(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """400 segments of 4 rows: where each was read up to from the start of the file, 880,000 lines were."""
+        read = 0
+
+        class Counted(lvm_format.TextIOWrapper):
+            def __next__(self) -> str:
+                nonlocal read
+                read += 1
+                return super().__next__()
+
+        monkeypatch.setattr(lvm_format, "TextIOWrapper", Counted)
+        path = text(tmp_path / "r.lvm", lvm_text(segments=400))
+        assert len(lvm_format.read_tables(path, ["Force"])) == 400
+        assert 0 < read < 400 * 20
 
     def test_a_time_column(self, tmp_path: Path) -> None:
         path = text(tmp_path / "r.lvm", lvm_text(segments=1, x_columns="One"))

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,6 +20,8 @@ from smfe.campaign import load_campaign
 from smfe.commands.many.folders import find, is_one, name_of
 from smfe.commands.many.run import Batch
 from smfe.commands.many.tasks import Task, keep_share, work
+from smfe.fleet.rows import rows_of
+from smfe.fleet.table import read_catalogue, write_catalogue
 from smfe.kept import KEPT
 
 MACHINES = 2
@@ -119,6 +122,36 @@ def test_a_second_run_does_nothing_and_gives_the_same_catalogue(archive: Path) -
     batch = smfe.run([archive / "in"], archive / "out", jobs=1)
     assert batch.unchanged == 4
     assert (archive / "out" / "catalogue.parquet").read_bytes() == before
+
+
+def test_kept_rows_that_are_damaged_are_made_again(archive: Path) -> None:
+    """A bit of a number, one of the footer, and a file cut short: the catalogue is that of the results."""
+    before = (archive / "out" / "catalogue.parquet").read_bytes()
+    (folder, *_) = sorted(p.parent for p in (archive / "out").glob("*/provenance.json"))
+    kept = folder / KEPT / "catalogue.parquet"
+    good = kept.read_bytes()
+    for place in (len(good) // 3, len(good) - 40, 0):
+        bad = bytearray(good)
+        bad[place] ^= 1
+        kept.write_bytes(bytes(bad) if place else good[: len(good) // 2])
+        write_catalogue(archive / "out")
+        assert (archive / "out" / "catalogue.parquet").read_bytes() == before
+        assert kept.read_bytes() == good
+
+
+def test_results_that_are_damaged_are_doubted_and_end_no_catalogue(archive: Path, tmp_path: Path) -> None:
+    shutil.copytree(archive / "out", tmp_path / "out")
+    first, second, *_ = sorted(p.parent for p in (tmp_path / "out").glob("*/provenance.json"))
+    said = (first / "provenance.json").read_text()
+    (first / "provenance.json").write_text(said[: len(said) // 2])
+    (second / KEPT / "refused.json").write_text('{"campaign": "na')
+    write_catalogue(tmp_path / "out")
+    rows = read_catalogue(tmp_path / "out").to_pandas().set_index("campaign")
+    assert "cannot be read any more" in rows.loc[[first.name], "text"].iloc[0]
+    assert "can no longer be read" in rows.loc[[second.name], "text"].iloc[0]
+    assert set(rows["verdict"][rows["kind"] == "campaign"]) == {"done", "refused"}
+    with pytest.raises(InputError, match=r"its results cannot be read any more \(JSONDecodeError"):
+        rows_of(first)
 
 
 def test_shares_keep_what_the_run_reads_back(tmp_path: Path) -> None:
