@@ -1,10 +1,10 @@
-"""Peak memory of a sweep identified from one long record: ``python benchmarks/scripts/long_record_memory.py 0.1 10``.
+"""Peak memory of a sweep identified from long records: ``python benchmarks/scripts/long_record_memory.py 0.1 10``.
 
-For each size [GB] a record of seven channels in double precision at 51.2 kHz is written (deleted afterwards; it needs
-as much free disk), then identified by a process of its own as a sweep of one axis in the band from 20 to 80 Hz: header,
+For each size [GB] three passes of seven channels in double precision at 51.2 kHz are written (deleted afterwards; they
+need as much free disk), then identified by a process of its own as a sweep in the band from 20 to 80 Hz: header,
 blocks, low-pass, decimation, estimate. Printed is by how much the largest resident memory of that process exceeds what
-it was after a record of 10 s had been identified, so that libraries and compiled code do not count. With
-``--what blocks`` the record is read through in blocks instead (as `smfe convert` does) and nothing is kept.
+it was after passes of 10 s had been identified, so that libraries and compiled code do not count. With
+``--what blocks`` the first pass is read through in blocks instead (as `smfe convert` does) and nothing is kept.
 """
 
 import argparse
@@ -44,15 +44,18 @@ MEASUREMENT = """
 [[measurement]]
 name = "{name}"
 method = "sweep"
-axes = ["x"]
 frequency_range = ["20 Hz", "80 Hz"]
-records = [{{ file = "{file}", cut = "down", width_of_cut = "40 mm" }}]
+records = [
+    {{ file = "{name}_0.{kind}", cut = "down", width_of_cut = "40 mm" }},
+    {{ file = "{name}_1.{kind}", cut = "up", width_of_cut = "40 mm" }},
+    {{ file = "{name}_2.{kind}", cut = "central", width_of_cut = "100 mm" }},
+]
 """
 
 _IDENTIFY = """
 import sys, time
 from smfe.campaign import load_campaign
-from smfe.measurements import identify_measurement
+from smfe.identification.measurement import identify_measurement
 from smfe.records import read_blocks
 def peak():  # of this process alone; ru_maxrss would begin with that of the process that started it
     return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
@@ -71,31 +74,31 @@ print(time.perf_counter() - start, (peak() - before) / 1024, before / 1024)
 """
 
 
-def pieces(seconds: int) -> Iterator[Real]:
-    """Yield a second at a time: a random force along x, what a mode at 50 Hz answers, and noise in all the rest."""
-    rng = np.random.default_rng(0)
+def pieces(seconds: int, axis: int) -> Iterator[Real]:
+    """Yield a second at a time: a random force along one axis, what a mode at 50 Hz answers, and noise elsewhere."""
+    rng = np.random.default_rng(axis)
     poles = np.exp((-0.03 + 1j) * 2.0 * np.pi * 50.0 / RATE)
     b, a = [1.0, -2.0, 1.0], np.poly([poles, np.conj(poles)])
     noise, state = rng.standard_normal((len(NAMES), RATE)), np.zeros(2)
     for second in range(seconds):
-        noise[0] = 100.0 * rng.standard_normal(RATE)
-        answer, state = signal.lfilter(b, a, noise[0], zi=state)
-        noise[3] = 0.1 * answer
+        noise[axis] = 100.0 * rng.standard_normal(RATE)
+        answer, state = signal.lfilter(b, a, noise[axis], zi=state)
+        noise[3 + axis] = 0.1 * answer
         noise[6] = 600.0 + 600.0 * second / seconds
         yield noise
 
 
-def hdf5(path: Path, seconds: int) -> None:
+def hdf5(path: Path, seconds: int, axis: int) -> None:
     with h5py.File(path, "w") as file:
         sets = [file.create_dataset(n, (seconds * RATE,), float, chunks=(RATE,)) for n in NAMES]
-        for second, piece in enumerate(pieces(seconds)):
+        for second, piece in enumerate(pieces(seconds, axis)):
             for data, row in zip(sets, piece, strict=True):
                 data[second * RATE : (second + 1) * RATE] = row
 
 
-def tdms(path: Path, seconds: int) -> None:
+def tdms(path: Path, seconds: int, axis: int) -> None:
     with TdmsWriter(path) as writer:
-        for piece in pieces(seconds):
+        for piece in pieces(seconds, axis):
             channels = [ChannelObject("DAQ", n, row) for n, row in zip(NAMES, piece, strict=True)]
             writer.write_segment([RootObject(), *channels])
 
@@ -104,24 +107,26 @@ WRITE = {"h5": hdf5, "tdms": tdms}
 
 
 def measure(folder: Path, kind: str, gigabytes: float, what: str) -> None:
-    seconds = max(20, round(gigabytes * 1e9 / BYTES_A_SECOND))
-    paths = [folder / f"short.{kind}", folder / f"long.{kind}", folder / "campaign.toml"]
+    seconds = max(20, round(gigabytes * 1e9 / BYTES_A_SECOND / 3))
+    written, campaign = [], folder / "campaign.toml"
     try:
-        for path, length in zip(paths, (10, seconds), strict=False):
-            WRITE[kind](path, length)
-        text = "".join(MEASUREMENT.format(name=path.stem, file=path.name) for path in paths[:2])
-        paths[2].write_text(CAMPAIGN + text, encoding="utf-8")
-        size = paths[1].stat().st_size / 1e9
-        command = [sys.executable, "-c", _IDENTIFY, str(paths[2]), what]
+        for name, length in (("short", 10), ("long", seconds)):
+            for axis in range(3):
+                written.append(folder / f"{name}_{axis}.{kind}")
+                WRITE[kind](written[-1], length, axis)
+        text = "".join(MEASUREMENT.format(name=name, kind=kind) for name in ("short", "long"))
+        campaign.write_text(CAMPAIGN + text, encoding="utf-8")
+        size = sum(path.stat().st_size for path in written[3:]) / 1e9
+        command = [sys.executable, "-c", _IDENTIFY, str(campaign), what]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
         spent, more, before = (float(word) for word in done.stdout.split())
         print(
-            f"{kind}, {what}: {size:.2f} GB, {seconds} s of record: {more:.0f} MB more than the {before:.0f} MB "
+            f"{kind}, {what}: {size:.2f} GB, 3 passes of {seconds} s: {more:.0f} MB more than the {before:.0f} MB "
             f"before, in {spent:.0f} s",
             flush=True,
         )
     finally:
-        for path in paths:
+        for path in (*written, campaign):
             path.unlink(missing_ok=True)
 
 
