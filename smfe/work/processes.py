@@ -10,11 +10,12 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Generic
 
 from smfe.progress import SmfeWarning
@@ -43,12 +44,20 @@ class Processes(Generic[T]):
     def begin(self, begun: Begun[T]) -> None:
         """Give a task to a process that has nothing to do."""
         if self._pool is None:
+            if sys.platform != "win32":
+                from multiprocessing import forkserver
+
+                with _ignored_interrupt():
+                    forkserver.ensure_running()
             self._pool = ProcessPoolExecutor(self.count, self._context, _begin)
         try:
             self._flying[self._pool.submit(self.function, begun.task)] = begun
         except BrokenProcessPool:  # one that had nothing to do was ended
             self.end()
             self.begin(begun)
+        except KeyboardInterrupt:
+            _end_server()
+            raise
 
     def ended(self) -> list[tuple[Begun[T], Outcome]]:
         """Wait until tasks end and return them; of a process that was ended with `LOST`."""
@@ -68,6 +77,30 @@ class Processes(Generic[T]):
                 process.kill()
             self._pool.shutdown(cancel_futures=True)
         self._pool = None
+
+
+@contextmanager
+def _ignored_interrupt() -> Iterator[None]:
+    """Start a process that ignores Ctrl-C from its first line on: it imports for seconds before it could say so."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before or signal.SIG_DFL)
+
+
+def _end_server() -> None:
+    """End the server of an interrupted start: it would begin processes for one that is gone, and say so at length."""
+    if sys.platform != "win32":
+        from multiprocessing import forkserver
+
+        server = getattr(getattr(forkserver, "_forkserver", None), "_forkserver_pid", None)
+        if server is not None:
+            with suppress(ProcessLookupError):
+                os.kill(server, signal.SIGKILL)
 
 
 def _broken(future: Future[Outcome]) -> bool:

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -92,3 +94,42 @@ def always_killed(name: str) -> Outcome:
         os.kill(os.getpid(), signal.SIGKILL)
     time.sleep(0.2)
     return Outcome(DONE)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="sends a signal to a group of processes")
+def test_processes_that_are_still_importing_say_nothing_of_an_interrupt(tmp_path: Path) -> None:
+    """What they import takes seconds; Ctrl-C reaches all of them meanwhile."""
+    mark = tmp_path / "imported"
+    (tmp_path / "slow_one.py").write_text(
+        "import pathlib, time\n"
+        f"pathlib.Path({str(mark)!r}).touch()\n"
+        "time.sleep(1.0)\n"
+        "def work(task):\n    return task\n"
+    )
+    (tmp_path / "start.py").write_text(
+        "import importlib, sys\n"
+        "from types import FunctionType\n"
+        "from smfe.work.processes import processes\n"
+        "from smfe.work.tasks import Begun\n"
+        "def work(task):\n    return task\n"
+        "work.__module__ = 'slow_one'\n"
+        "if __name__ == '__main__':\n"
+        "    try:\n"
+        "        with processes(work, 1) as pool:\n"
+        "            pool.begin(Begun(1))\n"
+        "            pool.ended()\n"
+        "    except KeyboardInterrupt:\n"
+        "        sys.exit(130)\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    own = subprocess.Popen(
+        [sys.executable, "start.py"], cwd=tmp_path, env=environment, stderr=subprocess.PIPE, start_new_session=True
+    )
+    for _ in range(200):
+        if mark.exists():
+            break
+        time.sleep(0.05)
+    os.killpg(own.pid, signal.SIGINT)
+    _, said = own.communicate(timeout=30)
+    assert mark.exists()
+    assert b"Traceback" not in said, said.decode()
