@@ -98,7 +98,8 @@ def converged_band(
             continue
         deviation = float(problem.draws([lowest], np.random.default_rng(seed)).std()) * lowest.crossing.depth
         low, high = RULES.reach_above
-        reach = min(high, max(low, math.exp(RULES.deviations * deviation)))
+        # A limit that next to nothing determines has a deviation of any size.
+        reach = max(low, math.exp(min(math.log(high), RULES.deviations * deviation)))
         crossings = at.competing(lowest, reach * lowest.crossing.depth)
         # The same seed at each speed: neighbouring limits move together.
         inverse = problem.draws(crossings, np.random.default_rng(seed)).max(axis=1)
