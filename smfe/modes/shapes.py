@@ -250,7 +250,7 @@ def _with_all(
 def _significant(free: PoleFit, fit: ShapeFit, white: Complex | Real) -> bool:
     """Whether real shapes leave significantly more than free residues do."""
     alone = float(np.sum(_white(free.left.T[:, :, None], white) ** 2)) / fit.curves.counted_lines
-    scale = alone / free.degrees_of_freedom
+    scale = max(alone / free.degrees_of_freedom, 1e-300)  # exact data leave nothing
     more = (fit.chi - alone) / (max(scale, 1.0) if fit.curves.noise_known else scale)
     return bool(stats.chi2.sf(more, max(free.unknowns - fit.unknowns, 1)) < RULES.p_value_shapes)
 

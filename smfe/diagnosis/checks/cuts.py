@@ -167,8 +167,9 @@ def _chatters(size: Real, order: int, teeth: int) -> bool:
         return False
 
     def stands_out(n: int) -> bool:
+        # Of two teeth both neighbours are their multiples: there side lines tell nothing.
         beside = [size[m - 1] for m in (n - 1, n + 1) if m > 0 and m % teeth]
-        return bool(size[n - 1] > RULES.stands_out * max(beside))
+        return bool(size[n - 1] > RULES.stands_out * max(beside, default=math.inf))
 
     return all(stands_out(abs(n)) for n in (order - teeth, order + teeth))
 

@@ -46,6 +46,21 @@ def test_chatter_on_an_order_of_the_spindle_is_no_number_of_teeth(tmp_path: Path
     assert ("tooth_number" in {s.cause for s in found}) == said
 
 
+@pytest.mark.parametrize("order", [3, 5, 7])
+def test_two_teeth_have_no_orders_beside_their_own_that_side_lines_could_exceed(tmp_path: Path, order: int) -> None:
+    t = np.arange(24000) / 2000.0
+    sizes = {2: 1.0, 4: 0.7, 6: 0.5, order: 15.0, 3 * order: 1.0}
+    motion = sum(a * np.cos(2.0 * np.pi * 800.0 / 60.0 * n * t + n) for n, a in sizes.items())
+    write_record_netcdf(make_record(t, {"acceleration": {"x": motion}}), tmp_path / "cut.nc")
+    (tmp_path / "campaign.toml").write_text(
+        "[campaign]\nname = 'order'\n"
+        "[tool]\ndiameter = '100 mm'\nteeth = 2\napproach_angle = '90 deg'\n"
+        "[[cutting_test]]\nfile = 'cut.nc'\nspindle_speed = '800 rpm'\ndepth_of_cut = '2 mm'\n"
+        "cut = 'down'\nwidth_of_cut = '30 mm'\nfeed_per_tooth = '0.1 mm'\n"
+    )
+    assert "tooth_number" in {s.cause for s in audit(load_campaign(tmp_path / "campaign.toml"))}
+
+
 def test_side_lines_of_a_chatter_are_none_of_another_number_of_teeth(tmp_path: Path) -> None:
     """What chatters on order 5 of three teeth is modulated by them: orders 2 and 8, and it has harmonics, too."""
     t = np.arange(24000) / 2000.0
