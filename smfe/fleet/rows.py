@@ -47,6 +47,8 @@ def rows_of(folder: Path) -> list[Row]:
     """
     try:
         return _rows(folder)
+    except InputError:
+        raise
     except (OSError, ValueError, LookupError, TypeError, AttributeError, csv.Error) as error:
         raise InputError(
             f"'{folder}': its results cannot be read any more ({type(error).__name__}: {error}); run the campaign "
@@ -109,10 +111,11 @@ def are_written(folder: Path) -> bool:
     try:
         if (folder / KEPT / SUM).read_text(encoding="ascii") != _sum(folder):
             return False
+        of = _results(folder)
     except (OSError, ValueError):
         return False
     said = parquet.read_schema(folder / KEPT / ROWS).metadata or {}
-    return bool(said.get(_OF) == _results(folder).encode())
+    return bool(said.get(_OF) == of.encode())
 
 
 def read_rows(folder: Path) -> pa.Table:

@@ -10,7 +10,7 @@ from process.errors import InputError
 from smfe.fleet.columns import COLUMNS, schema
 from smfe.fleet.rows import ROWS, are_written, read_rows, refused_rows, rows_of, write_rows
 from smfe.kept import KEPT
-from smfe.results import write_atomically
+from smfe.results import is_outside, write_atomically
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -53,6 +53,8 @@ def write_catalogue(root: Path) -> Path:
             else:
                 continue
         except InputError as error:
+            if is_outside(error):  # a full disk, a lost network: the results are not at fault
+                raise
             # One folder that is damaged is one to doubt, and no end of the catalogue.
             rows = refused_rows(folder.name, folder.name, str(error))
         tables.append(pa.Table.from_pylist(rows, schema=schema()))

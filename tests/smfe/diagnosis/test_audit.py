@@ -9,7 +9,7 @@ import pytest
 from places import DATASETS
 
 from process.labels import make_compliance, make_record
-from smfe.campaign import load_campaign
+from smfe.campaign import Campaign, load_campaign
 from smfe.campaign.tolerances import Tolerances
 from smfe.diagnosis.audit import _compliance_suspects, audit
 from smfe.diagnosis.checks.suspect import suspect_table
@@ -29,51 +29,42 @@ def test_a_drive_that_answers_late_gives_out_energy_and_is_no_clock_that_is_late
     assert ("time_skew" in found) is not moves
 
 
+def cut_of_orders(folder: Path, teeth: int, sizes: dict[int, float], observed: str = "") -> Campaign:
+    """Campaign of one cut at 800 rpm whose acceleration has some orders of the spindle."""
+    t = np.arange(24000) / 2000.0
+    motion = sum(a * np.cos(2.0 * np.pi * 800.0 / 60.0 * n * t + n) for n, a in sizes.items())
+    write_record_netcdf(make_record(t, {"acceleration": {"x": motion}}), folder / "cut.nc")
+    (folder / "campaign.toml").write_text(
+        "[campaign]\nname = 'order'\n"
+        f"[tool]\ndiameter = '100 mm'\nteeth = {teeth}\napproach_angle = '90 deg'\n"
+        "[[cutting_test]]\nfile = 'cut.nc'\nspindle_speed = '800 rpm'\ndepth_of_cut = '2 mm'\n"
+        "cut = 'down'\nwidth_of_cut = '30 mm'\nfeed_per_tooth = '0.1 mm'\n"
+        + (f"observed = '{observed}'\n" if observed else "")
+    )
+    return load_campaign(folder / "campaign.toml")
+
+
 @pytest.mark.parametrize(("observed", "said"), [("chatter", False), ("stable", True)])
 def test_chatter_on_an_order_of_the_spindle_is_no_number_of_teeth(tmp_path: Path, observed: str, said: bool) -> None:
     """800 rpm, four teeth: chatter at 133.3 Hz lies on order 10, ten times as large as what the teeth make."""
-    t = np.arange(24000) / 2000.0
     sizes = {4: 1.0, 8: 0.7, 12: 0.5, 10: 15.0, 20: 1.0, 30: 1.0}
-    motion = sum(a * np.cos(2.0 * np.pi * 800.0 / 60.0 * n * t + n) for n, a in sizes.items())
-    write_record_netcdf(make_record(t, {"acceleration": {"x": motion}}), tmp_path / "cut.nc")
-    (tmp_path / "campaign.toml").write_text(
-        "[campaign]\nname = 'order'\n"
-        "[tool]\ndiameter = '100 mm'\nteeth = 4\napproach_angle = '90 deg'\n"
-        "[[cutting_test]]\nfile = 'cut.nc'\nspindle_speed = '800 rpm'\ndepth_of_cut = '2 mm'\n"
-        f"cut = 'down'\nwidth_of_cut = '30 mm'\nfeed_per_tooth = '0.1 mm'\nobserved = '{observed}'\n"
-    )
-    found = audit(load_campaign(tmp_path / "campaign.toml"))
+    campaign = cut_of_orders(tmp_path, 4, sizes, observed)
+    found = audit(campaign)
     assert ("tooth_number" in {s.cause for s in found}) == said
 
 
 @pytest.mark.parametrize("order", [3, 5, 7])
 def test_two_teeth_have_no_orders_beside_their_own_that_side_lines_could_exceed(tmp_path: Path, order: int) -> None:
-    t = np.arange(24000) / 2000.0
     sizes = {2: 1.0, 4: 0.7, 6: 0.5, order: 15.0, 3 * order: 1.0}
-    motion = sum(a * np.cos(2.0 * np.pi * 800.0 / 60.0 * n * t + n) for n, a in sizes.items())
-    write_record_netcdf(make_record(t, {"acceleration": {"x": motion}}), tmp_path / "cut.nc")
-    (tmp_path / "campaign.toml").write_text(
-        "[campaign]\nname = 'order'\n"
-        "[tool]\ndiameter = '100 mm'\nteeth = 2\napproach_angle = '90 deg'\n"
-        "[[cutting_test]]\nfile = 'cut.nc'\nspindle_speed = '800 rpm'\ndepth_of_cut = '2 mm'\n"
-        "cut = 'down'\nwidth_of_cut = '30 mm'\nfeed_per_tooth = '0.1 mm'\n"
-    )
-    assert "tooth_number" in {s.cause for s in audit(load_campaign(tmp_path / "campaign.toml"))}
+    campaign = cut_of_orders(tmp_path, 2, sizes)
+    assert "tooth_number" in {s.cause for s in audit(campaign)}
 
 
 def test_side_lines_of_a_chatter_are_none_of_another_number_of_teeth(tmp_path: Path) -> None:
     """What chatters on order 5 of three teeth is modulated by them: orders 2 and 8, and it has harmonics, too."""
-    t = np.arange(24000) / 2000.0
     sizes = {3: 1.0, 6: 0.6, 9: 0.4, 5: 9.0, 2: 1.3, 8: 1.3, 10: 0.2}
-    motion = sum(a * np.cos(2.0 * np.pi * 800.0 / 60.0 * n * t + n) for n, a in sizes.items())
-    write_record_netcdf(make_record(t, {"acceleration": {"x": motion}}), tmp_path / "cut.nc")
-    (tmp_path / "campaign.toml").write_text(
-        "[campaign]\nname = 'order'\n"
-        "[tool]\ndiameter = '100 mm'\nteeth = 3\napproach_angle = '90 deg'\n"
-        "[[cutting_test]]\nfile = 'cut.nc'\nspindle_speed = '800 rpm'\ndepth_of_cut = '2 mm'\n"
-        "cut = 'down'\nwidth_of_cut = '30 mm'\nfeed_per_tooth = '0.1 mm'\n"
-    )
-    assert "tooth_number" not in {s.cause for s in audit(load_campaign(tmp_path / "campaign.toml"))}
+    campaign = cut_of_orders(tmp_path, 3, sizes)
+    assert "tooth_number" not in {s.cause for s in audit(campaign)}
 
 
 @pytest.mark.skipif("SMFE_DATA" not in os.environ, reason="needs the public data sets (SMFE_DATA)")
