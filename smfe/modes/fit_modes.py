@@ -469,6 +469,15 @@ def _undecided(fit: ModalFit) -> list[str]:
 
 def _warnings(fit: ModalFit) -> list[str]:
     out = []
+    reported = fit.table()["frequency_Hz"].to_numpy(dtype=float)
+    poles = fit.free.poles[_are_modes(fit.free.poles, fit.free.pole_std, fit.curves)]
+    away = np.min(np.abs(poles[:, :1] - reported), axis=1, initial=np.inf)
+    if (missing := poles[away > poles[:, 0] * poles[:, 1], 0]).size:
+        named = ", ".join(f"{f:.5g}" for f in missing[: RULES.named_peaks])
+        out.append(
+            f"poles at {named} Hz are not given as modes: beside the others they are what errors of the measurement "
+            "leave, or weak modes that such errors hide (channels that are late, hits that lean)"
+        )
     if not fit.curves.noise_known:
         out.append("no standard deviation is known: intervals come from the residual of the fit alone")
     if fit.curves.reciprocity > RULES.not_reciprocal**2:
